@@ -1,0 +1,27 @@
+"""Errors that torchgrasp raises. Each message says what was given, what was expected and what to do."""
+
+from __future__ import annotations
+
+
+class TorchgraspError(Exception):
+    """Base class: a user can mend what any of these says, so recipes print them without a traceback."""
+
+
+class ConfigError(TorchgraspError, ValueError):
+    """A value that an option cannot take."""
+
+
+class ObjectError(TorchgraspError):
+    """An object or mesh that cannot be used; the message names it."""
+
+
+class CheckpointError(TorchgraspError):
+    """A run directory, checkpoint or weights file that is missing, damaged or of another model."""
+
+
+def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
+    """Raise ConfigError unless ``low <= value <= high`` (``low < value`` where `open_low`)."""
+    too_low = value <= low if open_low else value < low
+    if too_low or value > high or value != value:
+        bracket = "(" if open_low else "["
+        raise ConfigError(f"{name}={value} is out of range: give a value in {bracket}{low}, {high}].")

@@ -1,0 +1,103 @@
+"""Rigid poses as (*, 4, 4) tensors, and the gripper's control points.
+
+`T_a_b` takes coordinates in frame b to frame a. Quaternions are roma's xyzw. Euler angles are
+intrinsic XYZ: R = Rx(a) Ry(b) Rz(c). Metres and radians throughout.
+"""
+
+from __future__ import annotations
+
+import math
+
+import roma
+import torch
+from torch import Tensor
+
+ACTION_SIZE = 6
+GOAL_SIZE = 7
+
+# X_g of Eq. (2): palm twice, finger bases, finger tips, in the ee frame (released code's values).
+_CONTROL_POINTS = (
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, 0.0),
+    (0.0, 0.053, 0.075),
+    (0.0, -0.053, 0.075),
+    (0.0, 0.053, 0.105),
+    (0.0, -0.053, 0.105),
+)
+
+
+def gripper_control_points(*, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Tensor:
+    """X_g of Eq. (2), (6, 3) in metres, ee frame: palm twice, finger bases, finger tips."""
+    return torch.tensor(_CONTROL_POINTS, dtype=dtype, device=device)
+
+
+def make_pose(rotation: Tensor, translation: Tensor) -> Tensor:
+    """(*, 3, 3) rotation and (*, 3) translation in metres to a (*, 4, 4) pose."""
+    top = torch.cat((rotation, translation.unsqueeze(-1)), dim=-1)
+    bottom = top.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(*top.shape[:-2], 1, 4)
+    return torch.cat((top, bottom), dim=-2)
+
+
+def invert_pose(T_a_b: Tensor) -> Tensor:
+    """(*, 4, 4) pose T_a_b to T_b_a, exact for rigid poses."""
+    rotation = T_a_b[..., :3, :3].transpose(-1, -2)
+    return make_pose(rotation, -(rotation @ T_a_b[..., :3, 3:]).squeeze(-1))
+
+
+def transform_points(T_a_b: Tensor, points: Tensor) -> Tensor:
+    """(*, N, 3) points in frame b to frame a; T_a_b is (*, 4, 4), batch dimensions broadcast."""
+    return points @ T_a_b[..., :3, :3].transpose(-1, -2) + T_a_b[..., None, :3, 3]
+
+
+def action_to_pose(action: Tensor) -> Tensor:
+    """(*, 6) action (metres, intrinsic XYZ Euler radians) to the (*, 4, 4) relative pose T_t_t+1."""
+    return make_pose(roma.euler_to_rotmat("XYZ", action[..., 3:6]), action[..., :3])
+
+
+def pose_to_action(pose: Tensor) -> Tensor:
+    """(*, 4, 4) relative pose to the (*, 6) action; inverse of action_to_pose for |b| < pi/2."""
+    r = pose[..., :3, :3]
+    a = torch.atan2(-r[..., 1, 2], r[..., 2, 2])
+    b = torch.asin(r[..., 0, 2].clamp(-1.0, 1.0))
+    c = torch.atan2(-r[..., 0, 1], r[..., 0, 0])
+    return torch.cat((pose[..., :3, 3], torch.stack((a, b, c), dim=-1)), dim=-1)
+
+
+def goal_to_pose(goal: Tensor) -> Tensor:
+    """(*, 7) goal (metres, quaternion xyzw of any non-zero length) to a (*, 4, 4) pose.
+
+    A quaternion shorter than 1e-6 stands for no rotation worth naming and its length is clamped,
+    so that the gradient stays finite where a network starts at zero.
+    """
+    quaternion = goal[..., 3:7]
+    norm = quaternion.norm(dim=-1, keepdim=True).clamp_min(1e-6)
+    return make_pose(roma.unitquat_to_rotmat(quaternion / norm), goal[..., :3])
+
+
+def pose_to_goal(pose: Tensor) -> Tensor:
+    """(*, 4, 4) pose to the (*, 7) goal: translation, then quaternion xyzw with w >= 0."""
+    quaternion = roma.rotmat_to_unitquat(pose[..., :3, :3])
+    quaternion = torch.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+    return torch.cat((pose[..., :3, 3], quaternion), dim=-1)
+
+
+def rotation_angle(rotation: Tensor) -> Tensor:
+    """(*, 3, 3) rotation to its (*) angle in radians, in [0, pi]."""
+    return roma.rotmat_to_rotvec(rotation).norm(dim=-1)
+
+
+def look_along(direction: Tensor, roll: Tensor) -> Tensor:
+    """(*, 3) directions and (*) rolls (rad) to (*, 3, 3) rotations whose z axis is that direction.
+
+    At roll 0 the x axis lies as near to the base's z axis as it can.
+    """
+    z = torch.nn.functional.normalize(direction, dim=-1)
+    up = z.new_tensor((0.0, 0.0, 1.0)).expand_as(z)
+    side = z.new_tensor((1.0, 0.0, 0.0)).expand_as(z)
+    up = torch.where((z[..., 2:].abs() > math.cos(1e-3)), side, up)
+    y = torch.nn.functional.normalize(torch.linalg.cross(z, up), dim=-1)
+    x = torch.linalg.cross(y, z)
+    frame = torch.stack((x, y, z), dim=-1)
+    c, s, zero, one = roll.cos(), roll.sin(), torch.zeros_like(roll), torch.ones_like(roll)
+    spin = torch.stack((c, -s, zero, s, c, zero, zero, zero, one), dim=-1)
+    return frame @ spin.reshape(*roll.shape, 3, 3)

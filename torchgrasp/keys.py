@@ -1,0 +1,47 @@
+"""The data dictionary: every tensordict key that torchgrasp reads or writes.
+
+Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said otherwise.
+
+| key | shape | meaning |
+|---|---|---|
+| DEPTH | *, H, W | metres along z of the wrist camera, 0 = no return |
+| MASK | *, H, W bool | pixels of the target object |
+| T_BASE_EE, T_BASE_CAMERA | *, 4, 4 | poses in the robot base |
+| T_BASE_OBJECT | *, 4, 4 | pose of the target; privileged: no policy reads it |
+| OBJECT_ID | *, 1 int64 | index of the target in the ObjectSet; privileged |
+| EPISODE | *, 1 int64 | the episode's number in its world, from 0 |
+| JOINTS, JOINT_VELOCITIES | *, 9 | 7 arm angles, 2 finger positions (m), and their rates |
+| TIME_LEFT | *, 1 | (T - t) / T |
+| POINTS | *, N, C | network input, ee frame: xyz, then a flag that is 1 for gripper points |
+| ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles |
+| EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
+| GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
+| PERTURBED | *, 1 bool | a disturbance, not the policy, moved the arm at this step |
+| EPISODE_SUCCESS | *, 1 bool | the episode's final reward, on each of its steps |
+| GOAL_PREDICTION | *, 7 | written by actor or critic |
+| STATE_ACTION_VALUE | *, Q | the critic's values side by side |
+"""
+
+from __future__ import annotations
+
+DEPTH = ("camera", "depth")
+MASK = ("camera", "mask")
+RGB = ("camera", "rgb")
+T_BASE_EE = "T_base_ee"
+T_BASE_CAMERA = "T_base_camera"
+T_BASE_OBJECT = "T_base_object"
+OBJECT_ID = "object_id"
+EPISODE = "episode"
+JOINTS = "joints"
+JOINT_VELOCITIES = "joint_velocities"
+TIME_LEFT = "time_left"
+POINTS = "points"
+ACTION = "action"
+EXPERT_ACTION = "expert_action"
+HAS_EXPERT = "has_expert"
+GOAL = "goal"
+HAS_GOAL = "has_goal"
+PERTURBED = "perturbed"
+EPISODE_SUCCESS = "episode_success"
+GOAL_PREDICTION = "goal_prediction"
+STATE_ACTION_VALUE = "state_action_value"
