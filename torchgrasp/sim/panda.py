@@ -1,0 +1,287 @@
+"""The Franka Emika Panda as a SAPIEN articulation, built from the numbers of franka_ros.
+
+Finger boxes are exact, because contact decides grasping; every other link is one capsule or box.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import sapien
+from sapien import Pose, physx
+
+from torchgrasp.sim import kinematics
+
+ARM_STIFFNESS, ARM_DAMPING = 4e3, 2e2
+FINGER_STIFFNESS, FINGER_DAMPING, FINGER_FORCE = 1e3, 1e2, 40.0
+FINGER_VELOCITY = 0.2
+FINGER_OPEN = 0.04
+# A negative target, so that a thin wall between the pads still gets the fingers' whole force.
+FINGER_CLOSED = -0.04
+FINGER_MOUNT = 0.0584
+_ROBOT_ID = 1
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A collision or visual shape in its link's frame.
+
+    Attributes:
+        size: (x, y, z) lengths of a box, or (radius, length between the cap centres) of a capsule
+            along z.
+        position: of its centre, metres.
+        roll: about x, radians.
+    """
+
+    size: tuple[float, ...]
+    position: tuple[float, float, float]
+    roll: float = 0.0
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """(3, 3) rotation of the roll."""
+        c, s = np.cos(self.roll), np.sin(self.roll)
+        return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(4, 4) pose of the shape in its link."""
+        frame = np.eye(4)
+        frame[:3, :3], frame[:3, 3] = self.rotation, self.position
+        return frame
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass (kg), centre of mass (m) and inertia (kg m2: xx yy zz, xy xz yz) of a link, in its frame."""
+
+    mass: float
+    centre: tuple[float, float, float]
+    diagonal: tuple[float, float, float]
+    products: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+INERTIALS = (
+    Inertial(
+        0.629769,
+        (-0.041018, -0.00014, 0.049974),
+        (0.00315, 0.00388, 0.004285),
+        (8.2904e-7, 0.00015, 8.2299e-6),
+    ),
+    Inertial(
+        4.970684,
+        (0.003875, 0.002081, -0.04762),
+        (0.70337, 0.70661, 0.009117),
+        (-0.000139, 0.006772, 0.019169),
+    ),
+    Inertial(
+        0.646926,
+        (-0.003141, -0.02872, 0.003495),
+        (0.007962, 0.02811, 0.025995),
+        (-0.003925, 0.010254, 0.000704),
+    ),
+    Inertial(
+        3.228604,
+        (0.027518, 0.039252, -0.066502),
+        (0.037242, 0.036155, 0.01083),
+        (-0.004761, -0.011396, -0.012805),
+    ),
+    Inertial(
+        3.587895,
+        (-0.05317, 0.104419, 0.027454),
+        (0.025853, 0.019552, 0.028323),
+        (0.007796, -0.001332, 0.008641),
+    ),
+    Inertial(
+        1.225946,
+        (-0.011953, 0.041065, -0.038437),
+        (0.035549, 0.029474, 0.008627),
+        (-0.002117, -0.004037, 0.000229),
+    ),
+    Inertial(
+        1.666555,
+        (0.060149, -0.014117, -0.010517),
+        (0.001964, 0.004354, 0.005433),
+        (0.000109, -0.001158, 0.000341),
+    ),
+    Inertial(
+        0.735522,
+        (0.010517, -0.004252, 0.061597),
+        (0.012516, 0.010027, 0.004815),
+        (-0.000428, -0.001196, -0.000741),
+    ),
+)
+HAND_INERTIAL = Inertial(0.73, (-0.01, 0.0, 0.03), (0.001, 0.0025, 0.0017))
+FINGER_INERTIAL = Inertial(0.015, (0.0, 0.0, 0.0), (2.375e-6, 2.375e-6, 7.5e-7))
+
+# One capsule a link, drawn around the arm's published dimensions; links 0 to 7.
+ARM_SHAPES = (
+    (Shape((0.20, 0.19, 0.14), (-0.04, 0.0, 0.07)),),
+    (Shape((0.06, 0.283), (0.0, 0.0, -0.1915)),),
+    (Shape((0.06, 0.12), (0.0, 0.0, 0.0)),),
+    (Shape((0.06, 0.15), (0.0, 0.0, -0.145)),),
+    (Shape((0.06, 0.12), (0.0, 0.0, 0.0)),),
+    (Shape((0.06, 0.10), (0.0, 0.0, -0.26)), Shape((0.05, 0.14), (0.0, 0.07, -0.09), 0.4)),
+    (Shape((0.05, 0.08), (0.0, 0.0, -0.03)),),
+    (Shape((0.04, 0.14), (0.0, 0.0, 0.01)),),
+)
+HAND_SHAPES = (Shape((0.063, 0.204, 0.092), (0.0, 0.0, 0.02)),)
+# Left finger; the right one has y and roll negated.
+FINGER_SHAPES = (
+    Shape((0.022, 0.015, 0.020), (0.0, 0.0185, 0.011)),
+    Shape((0.022, 0.0088, 0.0038), (0.0, 0.0068, 0.0022)),
+    Shape((0.0175, 0.007, 0.0235), (0.0, 0.0159, 0.02835), np.pi / 6),
+    Shape((0.0175, 0.0152, 0.0185), (0.0, 0.00758, 0.04525)),
+)
+
+
+def mirrored(shape: Shape) -> Shape:
+    """The same shape on the other finger."""
+    x, y, z = shape.position
+    return Shape(shape.size, (x, -y, z), -shape.roll)
+
+
+# Links that share a bit never collide: neighbours, and pairs that the arm's SRDF (franka_ros) rules
+# out. What stays on: forearm, wrist and hand against base, shoulder and upper arm.
+_IGNORE_BITS = {
+    "link0": 0b00001, "link1": 0b00001, "link2": 0b01001, "link3": 0b10011, "link4": 0b00111,
+    "link5": 0b10100, "link6": 0b11110, "link7": 0b10010, "hand": 0b00010, "finger": 0b00010,
+}  # fmt: skip
+
+
+class Panda:
+    """One Panda standing at the origin of a scene: its articulation, drives and links.
+
+    Args:
+        scene: the SAPIEN scene to build into.
+        finger_friction: static and dynamic friction of the fingers.
+        visuals: also build visual shapes; the scene needs a render system then.
+    """
+
+    def __init__(self, scene: sapien.Scene, *, finger_friction: float = 2.0, visuals: bool = False) -> None:
+        self._visuals = visuals
+        self._body_material = physx.PhysxMaterial(0.3, 0.3, 0.0)
+        self._finger_material = physx.PhysxMaterial(finger_friction, finger_friction, 0.0)
+        builder = scene.create_articulation_builder()
+        self._build_links(builder)
+        self.articulation = builder.build(fix_root_link=True)
+        self.articulation.name = "panda"
+        for link in self.articulation.links:
+            link.disable_gravity = True
+        self._arm_joints = self.articulation.active_joints[:7]
+        self._finger_joints = self.articulation.active_joints[7:]
+        for joint, effort, speed in zip(
+            self._arm_joints, kinematics.JOINT_EFFORT, kinematics.JOINT_VELOCITY, strict=True
+        ):
+            joint.set_drive_properties(ARM_STIFFNESS, ARM_DAMPING, float(effort))
+            joint.set_max_velocity(float(speed))
+        for joint in self._finger_joints:
+            joint.set_drive_properties(FINGER_STIFFNESS, FINGER_DAMPING, FINGER_FORCE)
+            joint.set_max_velocity(FINGER_VELOCITY)
+        self.hand = self.articulation.find_link_by_name("hand")
+        self.links = self.articulation.links
+
+    def _build_links(self, builder: sapien.ArticulationBuilder) -> None:
+        link = builder.create_link_builder()
+        self._fill(link, "link0", INERTIALS[0], ARM_SHAPES[0])
+        limits = zip(kinematics.JOINT_LOWER, kinematics.JOINT_UPPER, strict=True)
+        for i, (origin, limit) in enumerate(zip(kinematics.JOINT_ORIGINS, limits, strict=True), start=1):
+            link = builder.create_link_builder(link)
+            self._fill(link, f"link{i}", INERTIALS[i], ARM_SHAPES[i])
+            link.set_joint_properties(
+                "revolute", limit, _axis_frame(origin, "z"), _axis_frame(((0, 0, 0), 0.0), "z")
+            )
+        hand = builder.create_link_builder(link)
+        self._fill(hand, "hand", HAND_INERTIAL, HAND_SHAPES)
+        hand.set_joint_properties("fixed", (0, 0), Pose(kinematics.hand_in_link7()), Pose())
+        for side, name in ((1.0, "left_finger"), (-1.0, "right_finger")):
+            finger = builder.create_link_builder(hand)
+            shapes = FINGER_SHAPES if side > 0 else tuple(mirrored(s) for s in FINGER_SHAPES)
+            self._fill(finger, name, FINGER_INERTIAL, shapes)
+            frame = "y" if side > 0 else "-y"
+            finger.set_joint_properties(
+                "prismatic",
+                (0.0, FINGER_OPEN),
+                _axis_frame(((0, 0, FINGER_MOUNT), 0.0), frame),
+                _axis_frame(((0, 0, 0), 0.0), frame),
+            )
+
+    def _fill(self, link, name: str, inertial: Inertial, shapes: tuple[Shape, ...]) -> None:
+        link.set_name(name)
+        link.set_joint_name(f"{name}_joint")
+        is_finger = name.endswith("finger")
+        link.collision_groups = [1, 1, _IGNORE_BITS["finger" if is_finger else name], _ROBOT_ID]
+        moments, axes = _principal_axes(inertial)
+        link.set_mass_and_inertia(inertial.mass, Pose(axes), moments)
+        material = self._finger_material if is_finger else self._body_material
+        for shape in shapes:
+            _add_shape(link, shape, material, patch_radius=0.1 if is_finger else 0.0, visuals=self._visuals)
+
+    def place(self, q: np.ndarray, *, fingers: float = FINGER_OPEN) -> None:
+        """Put the arm at rest at q (7,) with the fingers `fingers` metres open each, drives on target."""
+        self.articulation.set_qpos(np.concatenate((q, (fingers, fingers))).astype(np.float32))
+        self.articulation.set_qvel(np.zeros(9, dtype=np.float32))
+        self.drive_arm(q)
+        self.drive_fingers(fingers)
+
+    def drive_arm(self, q: np.ndarray) -> None:
+        """Set the arm's drive targets, (7,) radians."""
+        for joint, target in zip(self._arm_joints, q.tolist(), strict=True):
+            joint.set_drive_target(target)
+
+    def drive_arm_velocity(self, rate: np.ndarray) -> None:
+        """Set the rates at which the drive targets move, (7,) rad/s: damping then holds nothing back."""
+        for joint, target in zip(self._arm_joints, rate.tolist(), strict=True):
+            joint.set_drive_velocity_target(target)
+
+    def drive_fingers(self, opening: float) -> None:
+        """Set both fingers' drive targets, metres each."""
+        for joint in self._finger_joints:
+            joint.set_drive_target(opening)
+
+
+def _axis_frame(origin: tuple, axis: str) -> Pose:
+    """A joint frame at `origin` = (xyz, roll) whose x axis, the one SAPIEN moves along, is `axis`."""
+    (xyz, roll) = origin
+    columns = {
+        "z": np.array([[0, -1.0, 0], [0, 0, -1.0], [1.0, 0, 0]]),
+        "y": np.array([[0, -1.0, 0], [1.0, 0, 0], [0, 0, 1.0]]),
+        "-y": np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, 1.0]]),
+    }
+    frame = np.eye(4)
+    frame[:3, :3] = Shape((0,), (0, 0, 0), roll).rotation @ columns[axis]
+    frame[:3, 3] = xyz
+    return Pose(frame)
+
+
+def _principal_axes(inertial: Inertial) -> tuple[np.ndarray, np.ndarray]:
+    """Principal moments and the (4, 4) pose of the principal frame in the link."""
+    xy, xz, yz = inertial.products
+    tensor = np.diag(inertial.diagonal) + np.array([[0, xy, xz], [xy, 0, yz], [xz, yz, 0]])
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] = -axes[:, 0]
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = axes, inertial.centre
+    return moments, frame
+
+
+def _add_shape(
+    link, shape: Shape, material: physx.PhysxMaterial, *, patch_radius: float, visuals: bool
+) -> None:
+    pose = Pose(shape.pose)
+    half = tuple(s / 2 for s in shape.size)
+    if len(shape.size) == 3:
+        link.add_box_collision(pose, half, material, density=0.0, patch_radius=patch_radius)
+        if visuals:
+            link.add_box_visual(pose, half)
+        return
+    radius, length = shape.size[0], half[1]
+    along_z = Pose(shape.pose @ _X_TO_Z)
+    link.add_capsule_collision(along_z, radius, length, material, density=0.0)
+    if visuals:
+        link.add_capsule_visual(along_z, radius, length)
+
+
+_X_TO_Z = np.array([[0, 0, -1.0, 0], [0, 1.0, 0, 0], [1.0, 0, 0, 0], [0, 0, 0, 1.0]])

@@ -1,0 +1,103 @@
+"""N worlds as one object with batched reads and writes.
+
+The seam behind which another physics backend can stand: nothing outside sim/ sees a single world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from torchgrasp.objects.model import GraspObject
+from torchgrasp.sim import kinematics
+from torchgrasp.sim.camera import RaycastCamera
+from torchgrasp.sim.world import Physics, World
+
+
+class Worlds:
+    """A batch of independent worlds in one process.
+
+    Args:
+        num_worlds: N.
+        physics: what they are made of.
+        camera: the wrist camera, shared.
+    """
+
+    def __init__(self, num_worlds: int, *, physics: Physics, camera: RaycastCamera) -> None:
+        self.physics = physics
+        self.camera = camera
+        self._worlds: list[World | None] = [None] * num_worlds
+        self._targets: list[GraspObject | None] = [None] * num_worlds
+
+    def __len__(self) -> int:
+        return len(self._worlds)
+
+    def place(self, row: int, target: GraspObject, T_base_object: np.ndarray, q: np.ndarray) -> None:
+        """Begin an episode in world `row`: the object at its (4, 4) pose, the arm at rest at q (7,)."""
+        self._worlds[row] = World(self.physics, target, T_base_object, q)
+        self._targets[row] = target
+
+    def _placed(self) -> list[World]:
+        worlds = [world for world in self._worlds if world is not None]
+        if len(worlds) < len(self._worlds):
+            raise RuntimeError("Every world needs place() before it is read or driven.")
+        return worlds
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(N, 9) arm angles and finger positions."""
+        return np.stack([world.joints for world in self._placed()])
+
+    @property
+    def joint_velocities(self) -> np.ndarray:
+        """(N, 9) rates of `joints`."""
+        return np.stack([world.joint_velocities for world in self._placed()])
+
+    @property
+    def T_base_ee(self) -> np.ndarray:
+        """(N, 4, 4) hand poses."""
+        return kinematics.forward_kinematics(self.joints[:, :7])
+
+    @property
+    def T_base_object(self) -> np.ndarray:
+        """(N, 4, 4) poses of the targets."""
+        return np.stack([world.T_base_object for world in self._placed()])
+
+    def observe(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N, H, W) float32 depth in metres and (N, H, W) bool target mask of the wrist cameras."""
+        joints, T_base_ee, T_base_object = self.joints, self.T_base_ee, self.T_base_object
+        pictures = [
+            self.camera.observe(target, T_base_ee[i], T_base_object[i], joints[i, 7:])
+            for i, target in enumerate(self._targets)
+            if target is not None
+        ]
+        depth, mask = zip(*pictures, strict=True)
+        return np.stack(depth), np.stack(mask)
+
+    def drive_to_pose(self, T_base_ee: np.ndarray, rows: Sequence[int]) -> None:
+        """One control step of the worlds `rows` towards hand poses (N, 4, 4), all N given.
+
+        A pose out of reach is approached as far as the joint limits let the arm go.
+        """
+        worlds, index = self._placed(), list(rows)
+        q, _ = kinematics.track_pose(self.joints[index, :7], T_base_ee[index])
+        for row, target in zip(index, q, strict=True):
+            worlds[row].drive(target)
+
+    def drive_to_joints(self, q: np.ndarray, rows: Sequence[int]) -> None:
+        """One control step of the worlds `rows` towards arm angles (N, 7), all N given."""
+        worlds = self._placed()
+        for row in rows:
+            worlds[row].drive(np.clip(q[row], kinematics.JOINT_LOWER, kinematics.JOINT_UPPER))
+
+    def close_and_lift(self, rows: Sequence[int]) -> np.ndarray:
+        """Close the fingers and lift in the worlds `rows`; (len(rows),) metres that each target rose."""
+        worlds = self._placed()
+        rise = np.zeros(len(rows))
+        for i, row in enumerate(rows):
+            before = worlds[row].T_base_object[2, 3]
+            worlds[row].close_fingers()
+            worlds[row].lift()
+            rise[i] = worlds[row].T_base_object[2, 3] - before
+        return rise
