@@ -1,0 +1,5 @@
+"""What is grasped: objects with surfaces, physics parts, grasps and resting poses."""
+
+from torchgrasp.objects.model import GraspObject as GraspObject
+from torchgrasp.objects.procedural import ProceduralObjects as ProceduralObjects
+from torchgrasp.objects.sets import ObjectSet as ObjectSet

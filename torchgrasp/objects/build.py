@@ -1,0 +1,50 @@
+"""From a solid to a GraspObject: centred, weighed, with grasps and resting poses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from torchgrasp.objects.grasps import sample_grasps
+from torchgrasp.objects.model import GraspObject, content_hash
+from torchgrasp.objects.resting import resting_poses
+from torchgrasp.objects.solids import Solid, mass_properties
+
+BUILD_VERSION = 1  # part of every cache file's name: raise it when the same input gives another object
+
+
+def build_object(
+    solid: Solid, *, name: str, family: str, licence: str, num_grasps: int, rng: np.random.Generator
+) -> GraspObject:
+    """A GraspObject of the solid (metres, any frame); its grasps may be few or none.
+
+    Args:
+        solid: surface and convex parts.
+        name: of the object.
+        family: of the object.
+        licence: of its shape.
+        num_grasps: upper bound on the number of grasps.
+        rng: decides which grasps are found.
+    """
+    volume, centre = mass_properties(solid.parts)
+    centred = solid.moved(-centre)
+    grasps = sample_grasps(centred.vertices, centred.faces, centred.parts, count=num_grasps, rng=rng)
+    poses, probability = resting_poses(np.concatenate(centred.parts))
+    arrays = {
+        "vertices": centred.vertices.astype(np.float32),
+        "faces": centred.faces.astype(np.int32),
+        "grasps": grasps.poses.astype(np.float32),
+        "grasp_quality": grasps.quality.astype(np.float32),
+        "resting_poses": poses.astype(np.float32),
+        "resting_probability": probability.astype(np.float32),
+        "centre_of_mass": centre.astype(np.float32),
+    }
+    parts = tuple(part.astype(np.float32) for part in centred.parts)
+    return GraspObject(
+        name=name,
+        family=family,
+        parts=parts,
+        volume=volume,
+        licence=licence,
+        content_hash=content_hash((*arrays.values(), *parts)),
+        **arrays,
+    )
