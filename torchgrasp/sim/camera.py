@@ -133,13 +133,15 @@ class RaycastCamera:
 
     def _cast_table(self, T_base_camera: np.ndarray) -> np.ndarray:
         """(H*W,) depth of the table's top, inf where it is missed."""
-        rays = self.intrinsics.rays @ T_base_camera[:3, :3].T.astype(np.float32)
+        x, y, z = T_base_camera[:3, :3].astype(np.float32) @ self.intrinsics.rays.T
         origin = T_base_camera[:3, 3].astype(np.float32)
         with np.errstate(divide="ignore", invalid="ignore"):
-            depth = -origin[2] / rays[:, 2]
-            hit = origin[:2] + depth[:, None] * rays[:, :2]
-        on_table = np.all((hit >= TABLE_LOWER[:2]) & (hit <= TABLE_UPPER[:2]), axis=-1)
-        return np.where(on_table & (depth > self.intrinsics.near), depth, np.inf).astype(np.float32)
+            depth = -origin[2] / z
+            hit_x, hit_y = origin[0] + depth * x, origin[1] + depth * y
+        seen = (depth > self.intrinsics.near) & (hit_x >= TABLE_LOWER[0]) & (hit_x <= TABLE_UPPER[0])
+        seen &= (hit_y >= TABLE_LOWER[1]) & (hit_y <= TABLE_UPPER[1])
+        depth[~seen] = np.inf
+        return depth
 
     def _hand_depth(self, fingers: np.ndarray) -> np.ndarray:
         """(H*W,) depth of hand and fingers; kept for the openings met, to a tenth of a millimetre."""
@@ -153,7 +155,7 @@ class RaycastCamera:
     def _cast_hand(self, left: float, right: float) -> np.ndarray:
         """(H*W,) depth of hand and fingers, which stand still before the camera at one opening."""
         depth = np.full(len(self.intrinsics.rays), np.inf)
-        for T_ee_box, size in hand_boxes(left, right):
+        for T_ee_box, size in panda.hand_boxes(left, right):
             T_box_camera = np.linalg.solve(T_ee_box, self.T_ee_camera)
             rays = self.intrinsics.rays @ T_box_camera[:3, :3].T
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -165,22 +167,6 @@ class RaycastCamera:
             seen = np.where(enter > self.intrinsics.near, enter, leave)
             depth = np.where(hit, np.minimum(depth, seen), depth)
         return depth.astype(np.float32)
-
-
-def hand_boxes(left: float, right: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Boxes of hand and fingers: (4, 4) poses in the hand frame and (3,) side lengths, metres.
-
-    Args:
-        left, right: finger positions in metres, 0 closed, 0.04 open.
-    """
-    boxes = [(shape.pose, np.array(shape.size)) for shape in panda.HAND_SHAPES]
-    for side, opening in ((1.0, left), (-1.0, right)):
-        for shape in panda.FINGER_SHAPES:
-            shape = shape if side > 0 else panda.mirrored(shape)
-            pose = shape.pose
-            pose[:3, 3] += (0.0, side * opening, panda.FINGER_MOUNT)
-            boxes.append((pose, np.array(shape.size)))
-    return boxes
 
 
 @dataclass(frozen=True)

@@ -142,6 +142,23 @@ def mirrored(shape: Shape) -> Shape:
     return Shape(shape.size, (x, -y, z), -shape.roll)
 
 
+def hand_boxes(left: float = FINGER_OPEN, right: float = FINGER_OPEN) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Boxes of hand and fingers: (4, 4) poses in the hand frame and (3,) side lengths, metres.
+
+    Args:
+        left: position of the left finger in metres, 0 closed, 0.04 open.
+        right: position of the right finger.
+    """
+    boxes = [(shape.pose, np.array(shape.size)) for shape in HAND_SHAPES]
+    for side, opening in ((1.0, left), (-1.0, right)):
+        for shape in FINGER_SHAPES:
+            shape = shape if side > 0 else mirrored(shape)
+            pose = shape.pose
+            pose[:3, 3] += (0.0, side * opening, FINGER_MOUNT)
+            boxes.append((pose, np.array(shape.size)))
+    return boxes
+
+
 # Links that share a bit never collide: neighbours, and pairs that the arm's SRDF (franka_ros) rules
 # out. What stays on: forearm, wrist and hand against base, shoulder and upper arm.
 _IGNORE_BITS = {

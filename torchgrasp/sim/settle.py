@@ -11,8 +11,7 @@ from torchgrasp.sim.table import build_table
 from torchgrasp.sim.world import Physics, build_target
 
 _SETTLE_RATE = 120
-_SETTLE_SECONDS = 2.0
-_WATCH_SECONDS = 1.0
+_MAX_SECONDS = 10
 _MAX_DRIFT = 1e-3
 _MAX_TURN = 0.02
 _DROP_HEIGHT = 5e-4
@@ -41,26 +40,30 @@ def settle(target: GraspObject, physics: Physics) -> np.ndarray:
 
 
 def _drop(target: GraspObject, candidate: np.ndarray, physics: Physics) -> np.ndarray | None:
-    """(4, 4) pose after settling, None where the object is still on its way after two seconds."""
+    """(4, 4) pose in which the object stays for a second, None where it never does."""
     system = physx.PhysxCpuSystem()
     system.timestep = 1.0 / _SETTLE_RATE
     scene = sapien.Scene([system])
     material = physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
     build_table(scene, material)
-    start = candidate.copy()
-    start[:3, 3] += _PLACE + (0.0, 0.0, _DROP_HEIGHT)
-    body = build_target(scene, target, start, physics, material)
-    for _ in range(int(_SETTLE_SECONDS * _SETTLE_RATE)):
-        system.step()
-    before = body.entity_pose.to_transformation_matrix().astype(np.float64)
-    for _ in range(int(_WATCH_SECONDS * _SETTLE_RATE)):
-        system.step()
-    after = body.entity_pose.to_transformation_matrix().astype(np.float64)
+    pose = candidate.copy()
+    pose[:3, 3] += _PLACE
+    pose[2, 3] += _DROP_HEIGHT
+    body = build_target(scene, target, pose, physics, material)
+    for _ in range(_MAX_SECONDS):
+        before = pose
+        for _ in range(_SETTLE_RATE):
+            system.step()
+        pose = body.entity_pose.to_transformation_matrix().astype(np.float64)
+        if _is_same_pose(before, pose):
+            pose[:2, 3] = 0.0
+            return pose if pose[2, 3] > 0 else None
+    return None
+
+
+def _is_same_pose(before: np.ndarray, after: np.ndarray) -> bool:
     turn = np.arccos(np.clip((np.trace(before[:3, :3].T @ after[:3, :3]) - 1) / 2, -1, 1))
-    if np.abs(after[:3, 3] - before[:3, 3]).max() > _MAX_DRIFT or turn > _MAX_TURN or after[2, 3] < 0:
-        return None
-    after[:2, 3] = 0.0
-    return after
+    return bool(np.abs(after[:3, 3] - before[:3, 3]).max() < _MAX_DRIFT and turn < _MAX_TURN)
 
 
 def _same_rest(a: np.ndarray, b: np.ndarray) -> bool:

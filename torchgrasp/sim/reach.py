@@ -1,0 +1,66 @@
+"""Where the hand can go: clear of the table, within the arm's reach."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchgrasp.objects.model import GraspObject
+from torchgrasp.sim import kinematics
+from torchgrasp.sim.panda import hand_boxes
+
+TABLE_CLEARANCE = 0.004
+
+
+@functools.cache
+def _hand_corners() -> np.ndarray:
+    """(72, 3) corners of the open hand's boxes, hand frame."""
+    signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
+    return np.concatenate([signs * size @ pose[:3, :3].T + pose[:3, 3] for pose, size in hand_boxes()])
+
+
+def lowest_point(T_base_ee: np.ndarray) -> np.ndarray:
+    """(*,) height above the table, metres, of the lowest corner of the open hand at (*, 4, 4) poses."""
+    return T_base_ee[..., 2, 3] + (_hand_corners() @ T_base_ee[..., 2, :3, None])[..., 0].min(axis=-1)
+
+
+@dataclass(frozen=True)
+class ReachableGrasps:
+    """Grasps that one arm can take of one object where it lies.
+
+    Attributes:
+        index: (K,) rows of the object's grasp set.
+        T_base_ee: (K, 4, 4) hand poses.
+    """
+
+    index: np.ndarray
+    T_base_ee: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def clear_grasps(target: GraspObject, T_base_object: np.ndarray) -> ReachableGrasps:
+    """The object's grasps at which the open hand stands clear of the table."""
+    T_base_ee = T_base_object @ target.grasps.astype(np.float64)
+    index = np.flatnonzero(lowest_point(T_base_ee) > TABLE_CLEARANCE)
+    return ReachableGrasps(index, T_base_ee[index])
+
+
+def in_reach(grasps: ReachableGrasps, near: np.ndarray, *, at_most: int | None = None) -> ReachableGrasps:
+    """Those of the grasps for which the arm has a posture.
+
+    Args:
+        grasps: candidates, the best first.
+        near: (7,) posture around which the null space is searched.
+        at_most: stop after so many.
+    """
+    kept: list[int] = []
+    for row, pose in enumerate(grasps.T_base_ee):
+        if len(kept) == at_most:
+            break
+        if len(kinematics.sample_postures(pose, near)):
+            kept.append(row)
+    return ReachableGrasps(grasps.index[kept], grasps.T_base_ee[kept])
