@@ -1,0 +1,205 @@
+import pytest
+import torch
+from rollouts import make_cloud, make_rollout, make_steps
+from torchrl.collectors.utils import split_trajectories
+
+from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, estimate_bytes
+from torchgrasp.data.memory import check_space
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import gripper_control_points
+
+LABELS = ("action", "expert_action", "goal", "has_expert", "has_goal", "perturbed", "points", "time_left")
+OUTCOMES = ("reward", "terminated", "done")
+
+
+def make_buffer(capacities=None, shares=None, **options):
+    capacities = capacities or {"online": 1000, "expert": 1000}
+    shares = shares or {"online": 0.5, "expert": 0.5}
+    return MixtureReplayBuffer(capacities, shares, batch_size=64, **options)
+
+
+def remember(reference, rollout, source=0):
+    for step in rollout.reshape(-1).unbind(0):
+        reference[step["time_left"].item()] = (step, source)
+
+
+def check_against(reference, batch):
+    """Every sampled transition equals the one of the dense rollout, next state included."""
+    for row in batch.unbind(0):
+        step, source = reference[row["time_left"].item()]
+        assert row["source"].item() == source
+        assert all(torch.equal(row[key], step[key]) for key in LABELS)
+        assert all(torch.equal(row["next", key], step["next", key]) for key in OUTCOMES)
+        if not step["next", "terminated"]:
+            assert torch.equal(row["next", "points"], step["next", "points"])
+            assert torch.equal(row["next", "time_left"], step["next", "time_left"])
+
+
+def test_next_states_are_exact_whatever_wraps_and_wherever_rollouts_are_cut():
+    generator = torch.Generator().manual_seed(0)
+    buffer, reference = make_buffer({"online": 61, "expert": 37}), {}
+    for call in range(60):
+        num_envs, num_steps = torch.randint(1, 9, (2,), generator=generator).tolist()
+        source = call % 3 == 0
+        rollout = make_rollout(num_envs, num_steps, generator=generator, first_state=call * 1000)
+        remember(reference, rollout, source)
+        buffer.extend(rollout, source="expert" if source else "online")
+        check_against(reference, buffer.sample())
+
+
+def test_no_transition_is_lost():
+    generator = torch.Generator().manual_seed(1)
+    rollout = make_rollout(7, 40, generator=generator)
+    buffer, reference = make_buffer(), {}
+    remember(reference, rollout)
+    buffer.extend(rollout)
+    assert buffer.num_rows() == {"online": 280, "expert": 0}
+    assert set(buffer.sample(6000)["time_left"].squeeze(-1).tolist()) == set(reference)
+
+
+def test_only_cuts_cost_a_further_row():
+    # Two rows of four steps: the first terminates, the second is truncated after two and cut at the end.
+    done = torch.tensor([[0, 0, 0, 1], [0, 1, 0, 0]]).bool()
+    truncated = torch.tensor([[0, 0, 0, 0], [0, 1, 0, 0]]).bool()
+    state = torch.tensor([[0, 1, 2, 3], [10, 11, 20, 21]])
+    rows = CompactTransitions().encode(make_steps(state, done, truncated, torch.Generator()))
+    assert rows["time_left"].squeeze(-1).tolist() == [0, 1, 2, 3, 10, 11, 12, 20, 21, 22]
+    assert rows["stub"].squeeze(-1).nonzero().squeeze(-1).tolist() == [6, 9]
+    assert torch.equal(rows["points"][6].float(), make_cloud(torch.tensor(12))[:8, :3])
+
+
+def test_padded_trajectories_are_stored_without_their_padding():
+    generator = torch.Generator().manual_seed(2)
+    rollout = make_rollout(3, 20, generator=generator)
+    reference, buffer = {}, make_buffer()
+    remember(reference, rollout)
+    padded = split_trajectories(rollout, done_key="done")
+    assert padded.numel() > rollout.numel()
+    buffer.extend(padded)
+    assert buffer.num_rows()["online"] == rollout.numel()
+    check_against(reference, buffer.sample())
+
+
+def test_one_rollout_without_a_batch_dimension():
+    rollout = make_rollout(1, 12, generator=torch.Generator().manual_seed(3))[0]
+    buffer, reference = make_buffer(), {}
+    remember(reference, rollout)
+    buffer.extend(rollout)
+    check_against(reference, buffer.sample())
+
+
+def test_rollouts_of_different_workers_are_not_joined():
+    rollout = make_rollout(1, 6, generator=torch.Generator().manual_seed(4), done_rate=0.0)
+    rollout["collector", "traj_ids"] = torch.tensor([[0, 0, 0, 1, 1, 1]])
+    rows = CompactTransitions().encode(rollout)
+    assert rows["stub"].squeeze(-1).tolist() == [False, False, False, True, False, False, False, True]
+
+
+def test_missing_labels_are_stored_as_absent():
+    rollout = make_rollout(2, 5, generator=torch.Generator().manual_seed(5))
+    bare = rollout.exclude("expert_action", "goal", "has_expert", "has_goal", "perturbed")
+    buffer = make_buffer()
+    buffer.extend(bare)
+    batch = buffer.sample()
+    assert not batch["has_expert"].any() and not batch["has_goal"].any() and not batch["perturbed"].any()
+    assert batch["goal"][0].tolist() == [0, 0, 0, 0, 0, 0, 1]
+
+
+def test_extra_keys_are_kept():
+    rollout = make_rollout(2, 5, generator=torch.Generator().manual_seed(6))
+    rollout["object_id"] = rollout["time_left"].long()
+    buffer = make_buffer(codec=CompactTransitions(extra_keys=("object_id",)))
+    buffer.extend(rollout)
+    batch = buffer.sample()
+    assert torch.equal(batch["object_id"], batch["time_left"].long())
+
+
+def test_gripper_points_and_flags_come_back():
+    rollout = make_rollout(1, 3, generator=torch.Generator().manual_seed(7))
+    buffer = make_buffer()
+    buffer.extend(rollout)
+    points = buffer.sample()["points"]
+    assert torch.equal(points[0, -6:, :3], gripper_control_points())
+    assert points[..., 3].sum(-1).unique().tolist() == [6]
+
+
+def test_clouds_without_gripper_points_are_refused_unless_asked_for():
+    rollout = make_rollout(1, 3, generator=torch.Generator().manual_seed(7))
+    rollout["points"] = rollout["points"][..., :8, :3]
+    rollout["next", "points"] = rollout["next", "points"][..., :8, :3]
+    with pytest.raises(ConfigError, match="AppendGripperPoints"):
+        make_buffer().extend(rollout)
+    buffer = make_buffer(codec=CompactTransitions(gripper_points=False))
+    buffer.extend(rollout)
+    assert buffer.sample()["next", "points"].shape == (64, 8, 3)
+
+
+def test_points_on_disk_equal_points_in_memory(tmp_path):
+    rollout = make_rollout(4, 20, generator=torch.Generator().manual_seed(8))
+    batches = []
+    for folder in (None, tmp_path):
+        buffer = make_buffer(folder=folder)
+        buffer.extend(rollout)
+        batches.append(buffer.sample())
+    assert (batches[0] == batches[1]).all()
+
+
+def test_prefetching_threads_see_no_torn_transitions():
+    generator = torch.Generator().manual_seed(9)
+    buffer, reference = make_buffer({"online": 50, "expert": 50}, prefetch=2), {}
+    for call in range(40):
+        rollout = make_rollout(4, 8, generator=generator, first_state=call * 1000)
+        remember(reference, rollout)
+        buffer.extend(rollout)
+        check_against(reference, buffer.sample())
+
+
+def test_a_restored_buffer_samples_the_same():
+    generator = torch.Generator().manual_seed(10)
+    first = make_buffer({"online": 61, "expert": 37})
+    for source in ("online", "expert", "online"):
+        first.extend(make_rollout(4, 12, generator=generator), source=source)
+    first.sample()
+    second = make_buffer({"online": 61, "expert": 37}, seed=1)
+    second.load_state_dict(first.state_dict())
+    for _ in range(3):
+        assert (first.sample() == second.sample()).all()
+        rollout = make_rollout(2, 9, generator=generator)
+        first.extend(rollout)
+        second.extend(rollout)
+
+
+def test_rows_can_be_encoded_first_and_stored_later():
+    generator = torch.Generator().manual_seed(11)
+    rollout = make_rollout(4, 12, generator=generator)
+    direct, later = make_buffer(), make_buffer()
+    direct.extend(rollout, source="expert")
+    later.extend_rows(CompactTransitions().encode(rollout), source="expert")
+    assert (direct.sample() == later.sample()).all()
+
+
+def test_a_step_of_1024_points_takes_less_than_7_kilobytes():
+    steps = torch.arange(30)[None]
+    done = steps == 29
+    rollout = make_steps(steps, done, torch.zeros_like(done), torch.Generator())
+    cloud = torch.cat((torch.rand(1, 30, 1024, 4), rollout["points"][..., -6:, :]), dim=-2)
+    rollout["points"] = rollout["next", "points"] = cloud
+    buffer = make_buffer({"online": 30, "expert": 1})
+    buffer.extend(rollout)
+    state = buffer.state_dict()["_storage"]["rows"]["online"]
+    stored = sum(column.numel() * column.element_size() for column in state.values()) / 30
+    draw_lists = 16
+    assert stored + draw_lists <= estimate_bytes(1) <= 7000
+    assert estimate_bytes(2_000_000) < 14e9
+    # Coordinates below 1 m keep 11 bits: half of 2^-11 m.
+    assert (buffer[:]["points"][..., :3] - cloud[0, ..., :3]).abs().max() <= 2**-12
+
+
+def test_a_buffer_that_does_not_fit_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="memory"):
+        make_buffer({"online": 10**10, "expert": 1}, num_points=1024)
+    with pytest.raises(ConfigError, match="disk"):
+        check_space(10**18, folder=tmp_path / "not" / "yet")
+    buffer = make_buffer({"online": 10**11, "expert": 1})
+    with pytest.raises(ConfigError, match="lower the capacities"):
+        buffer.extend(make_rollout(1, 2, generator=torch.Generator()))

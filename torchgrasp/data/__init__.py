@@ -1,0 +1,12 @@
+"""Transitions and demonstrations: stored compactly, mixed in exact shares, saved without pickle."""
+
+from torchgrasp.data.buffer import MixtureReplayBuffer as MixtureReplayBuffer
+from torchgrasp.data.compact import CompactTransitions as CompactTransitions
+from torchgrasp.data.episodes import label_episode_success as label_episode_success
+from torchgrasp.data.episodes import split_episodes as split_episodes
+from torchgrasp.data.memory import estimate_bytes as estimate_bytes
+from torchgrasp.data.sampler import MixtureSampler as MixtureSampler
+from torchgrasp.data.shares import anneal_shares as anneal_shares
+from torchgrasp.data.shares import split_batch as split_batch
+from torchgrasp.data.storage import MixtureStorage as MixtureStorage
+from torchgrasp.data.writer import MixtureWriter as MixtureWriter

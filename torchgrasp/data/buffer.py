@@ -1,0 +1,136 @@
+"""MixtureReplayBuffer: the replay buffer of Sec. 6.4, whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import TensorDictReplayBuffer
+from torchrl.envs.transforms import Compose, Transform
+
+from torchgrasp.data.compact import CompactTransitions
+from torchgrasp.data.memory import check_space, estimate_bytes
+from torchgrasp.data.sampler import SOURCE, MixtureSampler
+from torchgrasp.data.shares import check_shares
+from torchgrasp.data.storage import MixtureStorage
+from torchgrasp.data.writer import MixtureWriter
+from torchgrasp.errors import ConfigError
+
+
+class MixtureReplayBuffer(TensorDictReplayBuffer):
+    """A TensorDictReplayBuffer of compact transitions from several sources, mixed in exact shares.
+
+    `extend` takes tensordicts (*, T) as collectors and rollouts give them; `sample` gives (B).
+
+    Args:
+        capacities: source name -> rows (steps, and one more for each cut of a trajectory).
+        shares: source name -> share of every batch; the same names, adding up to 1.
+        batch_size: rows of a batch.
+        seed: of the draws.
+        folder: keeps the rows on disk below it; in memory if None.
+        num_points: checks at once that a full buffer of such clouds (without the six gripper
+            points) fits; otherwise the first `extend` checks.
+        codec: how transitions are stored; CompactTransitions() if None.
+        transform: applied to sampled transitions, after decoding.
+        prefetch: batches that a background thread draws ahead.
+
+    >>> from tensordict import TensorDict
+    >>> buffer = MixtureReplayBuffer(
+    ...     {"online": 64, "expert": 64},
+    ...     {"online": 0.7, "expert": 0.3},
+    ...     batch_size=10,
+    ...     codec=CompactTransitions(gripper_points=False),
+    ... )
+    >>> outcome = {key: torch.zeros(2, 5, 1, dtype=torch.bool) for key in ("done", "terminated")}
+    >>> state = {"points": torch.randn(2, 5, 32, 3), "time_left": torch.rand(2, 5, 1)}
+    >>> following = {**state, **outcome, "reward": torch.zeros(2, 5, 1)}
+    >>> rollout = TensorDict({**state, "action": torch.randn(2, 5, 6), "next": following}, [2, 5])
+    >>> _ = buffer.extend(rollout, source="online")
+    >>> _ = buffer.extend(rollout, source="expert")
+    >>> batch = buffer.sample()
+    >>> batch["next", "points"].shape, batch["source"].sum()
+    (torch.Size([10, 32, 3]), tensor(3))
+    """
+
+    def __init__(
+        self,
+        capacities: Mapping[str, int],
+        shares: Mapping[str, float],
+        *,
+        batch_size: int,
+        seed: int = 0,
+        folder: str | Path | None = None,
+        num_points: int | None = None,
+        codec: CompactTransitions | None = None,
+        transform: Transform | None = None,
+        prefetch: int | None = None,
+    ) -> None:
+        _check_sources(capacities, check_shares(shares))
+        if num_points is not None:
+            check_space(estimate_bytes(sum(capacities.values()), num_points=num_points), folder=folder)
+        codec = codec or CompactTransitions()
+        super().__init__(
+            storage=MixtureStorage(capacities, folder=folder, next_keys=codec.observation_keys),
+            sampler=MixtureSampler({name: shares[name] for name in capacities}),
+            writer=MixtureWriter(),
+            collate_fn=_identity,
+            transform=Compose(*(t for t in (codec, transform) if t is not None)),  # pyright: ignore
+            batch_size=batch_size,
+            prefetch=prefetch,
+            generator=torch.Generator().manual_seed(seed),
+        )
+        self.sources = tuple(capacities)
+
+    def extend(
+        self,
+        tensordicts: TensorDictBase,
+        *,
+        source: str | None = None,
+        update_priority: bool | None = None,
+    ) -> Tensor:
+        """Add trajectories (*, T) to `source` (the one they name, else the first); returns row indices."""
+        return super().extend(self._tag(tensordicts, source), update_priority=update_priority)
+
+    def extend_rows(self, rows: TensorDictBase, *, source: str) -> Tensor:
+        """Add `rows` (R) that the codec has encoded, such as a demonstration file's."""
+        return self._extend(self._tag(rows, source))
+
+    def _tag(self, data: TensorDictBase, source: str | None) -> TensorDictBase:
+        if source is None:
+            return data
+        if source not in self.sources:
+            raise ConfigError(f"source={source!r} is none of the buffer's {self.sources}.")
+        number = torch.tensor(self.sources.index(source), device=data.device)
+        return data.copy().set(SOURCE, number.expand(*data.shape, 1))
+
+    @property
+    def _mixture(self) -> MixtureSampler:
+        return cast(MixtureSampler, self._sampler)
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """The share of each source now."""
+        return self._mixture.shares
+
+    def set_shares(self, shares: Mapping[str, float]) -> None:
+        """Use `shares` from the next batch on (see `anneal_shares`)."""
+        self._mixture.set_shares(shares)
+
+    def num_rows(self) -> dict[str, int]:
+        """Transitions that can be drawn, by source."""
+        return self._mixture.num_rows()
+
+
+def _identity(batch: TensorDictBase) -> TensorDictBase:
+    return batch
+
+
+def _check_sources(capacities: Mapping[str, int], shares: Mapping[str, float]) -> None:
+    if set(capacities) != set(shares):
+        raise ConfigError(
+            f"capacities name {sorted(capacities)} and shares {sorted(shares)}: give both for each source."
+        )

@@ -1,0 +1,76 @@
+"""A set of integers that is drawn from uniformly at a cost independent of its size."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+class IndexPool:
+    """A set of row numbers with O(k) insertion, removal and uniform draws of k members.
+
+    Members lie packed at the front of one vector; a second vector holds the place of each.
+    Removing a member moves one from the end into its place. Both vectors grow by doubling.
+
+    >>> pool = IndexPool()
+    >>> pool.add(torch.tensor([4, 7, 9]))
+    >>> pool.remove(torch.tensor([4, 5]))
+    >>> sorted(pool.members.tolist())
+    [7, 9]
+    """
+
+    def __init__(self) -> None:
+        self._rows = torch.empty(0, dtype=torch.int64)
+        self._place = torch.empty(0, dtype=torch.int64)
+        self._size = 0
+
+    def __len__(self) -> int:
+        return self._size
+
+    @property
+    def members(self) -> Tensor:
+        """(n) int64: the members in the order that draws depend on; a view."""
+        return self._rows[: self._size]
+
+    def add(self, rows: Tensor) -> None:
+        """Insert distinct `rows` (k) int64; those already in stay where they are."""
+        if not rows.numel():
+            return
+        self._reserve(int(rows.max()) + 1)
+        rows = rows[self._place[rows] < 0]
+        places = torch.arange(self._size, self._size + rows.numel())
+        self._rows[places] = rows
+        self._place[rows] = places
+        self._size += rows.numel()
+
+    def remove(self, rows: Tensor) -> None:
+        """Take out distinct `rows` (k) int64; those not in are passed over."""
+        rows = rows[rows < self._place.numel()]
+        rows = rows[self._place[rows] >= 0]
+        holes = self._place[rows]
+        self._place[rows] = -1
+        size = self._size - rows.numel()
+        tail = self._rows[size : self._size]
+        movers = tail[self._place[tail] >= 0]
+        holes = holes[holes < size]
+        self._rows[holes] = movers
+        self._place[movers] = holes
+        self._size = size
+
+    def draw(self, num_rows: int, generator: torch.Generator | None) -> Tensor:
+        """(num_rows) int64 members, uniform and with replacement."""
+        return self._rows[torch.randint(self._size, (num_rows,), generator=generator)]
+
+    def load(self, members: Tensor) -> None:
+        """Replace the set by `members`, in their order."""
+        self._size = 0
+        self._place.fill_(-1)
+        self.add(members.to("cpu", torch.int64))
+
+    def _reserve(self, num_rows: int) -> None:
+        old = self._place.numel()
+        if num_rows <= old:
+            return
+        new = max(num_rows, 2 * old, 1024)
+        self._place = torch.cat((self._place, torch.full((new - old,), -1, dtype=torch.int64)))
+        self._rows = torch.cat((self._rows, torch.zeros(new - old, dtype=torch.int64)))

@@ -1,0 +1,195 @@
+"""MixtureStorage: one ring of rows per source behind one flat index, next states not stored twice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from pathlib import Path
+from typing import Any, cast
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorStorage, Storage
+
+from torchgrasp.data.memory import check_space
+from torchgrasp.errors import ConfigError
+
+SUCCESSOR = "successor"
+
+
+class MixtureStorage(Storage):
+    """A TorchRL storage that keeps each source in its own region, so that none overwrites another.
+
+    Row `i` of the k-th source has the flat index `offsets[k] + i`. Regions are TorchRL's
+    LazyTensorStorage or, given a `folder`, LazyMemmapStorage, made when their source's first rows
+    arrive; before that the memory or disk they will take is compared with what is free.
+
+    With `next_keys`, rows must be written in order of time, and a row's next values of these keys
+    are read from the row that was written after it: `get` adds ("next", key). Every row up to the
+    last of a write has its successor in that write, and a ring that is written in order loses a row
+    before its successor, so that the link never leads to another trajectory. Rows whose `end_keys`
+    hold a true value link to themselves: nothing may be read from their ("next", key).
+
+    Args:
+        capacities: source name -> rows.
+        folder: where rows are kept on disk; in memory if None.
+        next_keys: observation keys whose next values are read from the following row.
+        end_keys: bool keys (*, 1) that mark rows without a successor.
+
+    >>> storage = MixtureStorage({"online": 4, "expert": 2})
+    >>> storage.set(torch.tensor([0, 4]), TensorDict({"x": torch.tensor([1.0, 2.0])}, [2]))
+    >>> len(storage), storage.get(torch.tensor([4]))["x"]
+    (2, tensor([2.]))
+    """
+
+    def __init__(
+        self,
+        capacities: Mapping[str, int],
+        *,
+        folder: str | Path | None = None,
+        next_keys: Sequence[NestedKey] = (),
+        end_keys: Sequence[NestedKey] = ("terminated", "stub"),
+    ) -> None:
+        self.capacities = {str(name): int(rows) for name, rows in capacities.items()}
+        for name, rows in self.capacities.items():
+            if rows < 1:
+                raise ConfigError(f"capacities[{name!r}]={rows}: give at least one row, or drop the source.")
+        super().__init__(sum(self.capacities.values()))
+        self.offsets = dict(zip(self.capacities, accumulate((0, *self.capacities.values())), strict=False))
+        self._ends = torch.tensor(list(accumulate(self.capacities.values())))
+        self._folder = None if folder is None else Path(folder)
+        self._next_keys, self._end_keys = tuple(next_keys), tuple(end_keys)
+        self._regions: dict[str, Any] = {name: self._make_region(name) for name in self.capacities}
+
+    def _make_region(self, name: str) -> LazyTensorStorage:
+        if self._folder is None:
+            return LazyTensorStorage(self.capacities[name])
+        return LazyMemmapStorage(self.capacities[name], scratch_dir=self._folder / name, existsok=True)
+
+    def num_rows(self) -> dict[str, int]:
+        """Rows that each source holds, those that are no transitions included."""
+        return {name: len(region) for name, region in self._regions.items()}
+
+    def __len__(self) -> int:
+        return sum(map(len, self._regions.values()))
+
+    def set(self, cursor: int | Tensor, data: TensorDictBase, *, set_cursor: bool = True) -> None:
+        """Write rows `data` (k) at the flat indices `cursor` (k)."""
+        index = torch.as_tensor(cursor).reshape(-1)
+        data = data.reshape(index.numel())
+        if set_cursor:
+            self._set_last_cursor(index)
+        if self._next_keys:
+            data = data.copy().set(SUCCESSOR, self._link(index, data))
+        self._check_space(index, data)
+        owner = torch.bucketize(index, self._ends, right=True)
+        for number in owner.unique().tolist():
+            name, mine = list(self._regions)[number], owner == number
+            rows = data if bool(mine.all()) else data[mine]
+            self._write(self._regions[name], index[mine] - self.offsets[name], rows)
+        self._bump_mutation_revision()
+
+    @staticmethod
+    def _write(region: Any, index: Tensor, rows: TensorDictBase) -> None:
+        # set_cursor makes the region count its rows: right for rows appended to a ring, wrong for
+        # rows that only replace others.
+        region.set(index, rows, set_cursor=bool(index.max() >= len(region)))
+
+    def _link(self, index: Tensor, data: TensorDictBase) -> Tensor:
+        following = torch.cat((index[1:], index[-1:]))
+        for key in self._end_keys:
+            end = data.get(key, None)
+            if end is not None:
+                following = torch.where(end.reshape(-1).to(index.device), index, following)
+        return following
+
+    def _check_space(self, index: Tensor, data: TensorDictBase) -> None:
+        if any(region.initialized for region in self._regions.values()):
+            return
+        row_bytes = sum(value.element_size() * value[0].numel() for value in data.values(True, True))
+        check_space(row_bytes * self.max_size, folder=self._folder)
+
+    def get(self, index: Any) -> TensorDictBase:
+        """Rows at flat `index` (int, slice, or integers of any shape), with ("next", key) where linked."""
+        if isinstance(index, slice):
+            index = self._filled()[index]
+        index = torch.as_tensor(index)
+        rows = self.read_columns(index.reshape(-1), None)
+        if self._next_keys:
+            rows["next"] = self.read_columns(rows.pop(SUCCESSOR), self._next_keys)
+        return rows.reshape(index.shape)
+
+    def read_columns(self, index: Tensor, keys: Sequence[NestedKey] | None) -> TensorDictBase:
+        """Rows at the flat indices `index` (k), of `keys` alone (all if None; absent ones left out)."""
+        owner = torch.bucketize(index, self._ends, right=True)
+        order = None
+        if bool((owner[1:] < owner[:-1]).any()):
+            order = torch.argsort(owner, stable=True)
+            index, owner = index[order], owner[order]
+        counts = torch.bincount(owner, minlength=len(self._regions)).tolist()
+        parts = [
+            _take(region, part - self.offsets[name], keys)
+            for (name, region), part in zip(self._regions.items(), index.split(counts), strict=True)
+            if part.numel()
+        ]
+        rows = parts[0] if len(parts) == 1 else torch.cat(cast(list[Any], parts))
+        return rows if order is None else rows[torch.argsort(order)]
+
+    def _filled(self) -> Tensor:
+        regions = self._regions.items()
+        return torch.cat([self.offsets[name] + torch.arange(len(region)) for name, region in regions])
+
+    def _empty(self) -> None:
+        for region in self._regions.values():
+            region._empty()
+        self._bump_mutation_revision()
+
+    def contains(self, item: int | Tensor) -> Tensor | bool:
+        """Whether flat index `item` holds a row."""
+        found = torch.isin(torch.as_tensor(item), self._filled())
+        return found if isinstance(item, Tensor) else bool(found)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The filled rows of each source (views, not copies) under flattened keys."""
+        rows = {}
+        for name, region in self._regions.items():
+            if len(region):
+                flat = region.get(slice(None)).flatten_keys(".")
+                rows[name] = {str(key): value for key, value in flat.items()}
+        return {"capacities": dict(self.capacities), "rows": rows}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Undo `state_dict`; the capacities must be the same."""
+        if state_dict["capacities"] != self.capacities:
+            raise ConfigError(
+                f"A buffer of capacities {state_dict['capacities']} cannot be loaded into one of "
+                f"{self.capacities}: build it with the saved ones."
+            )
+        self._empty()
+        for name, columns in state_dict["rows"].items():
+            rows = TensorDict(columns, [next(iter(columns.values())).shape[0]]).unflatten_keys(".")
+            self._regions[name].set(torch.arange(rows.shape[0]), rows)
+        self._bump_mutation_revision()
+
+    def dumps(self, path: str | Path) -> None:
+        """Write the filled rows of each source below the folder `path`, memory-mapped by tensordict."""
+        for name, region in self._regions.items():
+            if len(region):
+                region.get(slice(None)).memmap(Path(path) / name, copy_existing=True)
+
+    def loads(self, path: str | Path) -> None:
+        """Read what `dumps` wrote."""
+        self._empty()
+        for name, region in self._regions.items():
+            if (Path(path) / name).is_dir():
+                rows = TensorDict.load_memmap(Path(path) / name, allow_pickle=False)
+                region.set(torch.arange(rows.shape[0]), rows)
+        self._bump_mutation_revision()
+
+
+def _take(region: Any, index: Tensor, keys: Sequence[NestedKey] | None) -> TensorDictBase:
+    rows = region.get(slice(None))
+    rows = rows if keys is None else rows.select(*keys, strict=False)
+    # index_select copies whole rows; indexing with a tensor goes element by element.
+    return rows.apply(lambda column: column.index_select(0, index), batch_size=index.shape)

@@ -1,0 +1,96 @@
+"""MixtureWriter: sends rows to the ring of their source."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.data.replay_buffers.storages import Storage
+from torchrl.data.replay_buffers.writers import Writer
+
+from torchgrasp.data.sampler import SOURCE
+from torchgrasp.data.storage import MixtureStorage
+from torchgrasp.errors import ConfigError
+
+
+class MixtureWriter(Writer):
+    """Writes rows into a MixtureStorage, each source round its own ring, oldest rows first to go.
+
+    Args:
+        source_key: int64 (*, 1) or (*): a row's source, counted in the order of the storage's capacities.
+    """
+
+    _storage: Any
+
+    def __init__(self, *, source_key: NestedKey = SOURCE) -> None:
+        super().__init__()
+        self._source_key = source_key
+        self._cursors: dict[str, int] = {}
+        self._write_count = 0
+
+    def register_storage(self, storage: Storage) -> None:
+        """Adopt `storage`, which must be a MixtureStorage."""
+        if not isinstance(storage, MixtureStorage):
+            kind = type(storage).__name__
+            raise ConfigError(f"MixtureWriter was given a {kind}: build the buffer with a MixtureStorage.")
+        super().register_storage(storage)
+        self._cursors = self._cursors or dict.fromkeys(storage.capacities, 0)
+
+    def add(self, data: TensorDictBase) -> int:
+        """Write one row; returns its flat index."""
+        return int(self.extend(data.unsqueeze(0)))
+
+    def extend(self, data: TensorDictBase) -> Tensor:
+        """Write rows (k) in their order; returns their flat indices (k).
+
+        Of a source with more rows than its capacity only the last are kept; the earlier ones are
+        given the index of the row that took their place.
+        """
+        source = data.get(self._source_key).reshape(-1).cpu()
+        index = torch.empty_like(source)
+        for number in source.unique().tolist():
+            mine = (source == number).nonzero().squeeze(-1)
+            name, index[mine] = self._advance(number, mine.numel())
+            kept = mine[-self._storage.capacities[name] :]
+            self._storage.set(index[kept], data if kept.numel() == len(data) else data[kept])
+            for entity in self._storage._attached_entities:
+                entity.mark_update(index[kept])
+        self._write_count += source.numel()
+        return index
+
+    def _advance(self, number: int, num_rows: int) -> tuple[str, Tensor]:
+        if not 0 <= number < len(self._cursors):
+            names = dict(enumerate(self._cursors))
+            raise ConfigError(f"{self._source_key}={number} is no source: the storage has {names}.")
+        name = list(self._cursors)[number]
+        capacity, cursor = self._storage.capacities[name], self._cursors[name]
+        self._cursors[name] = (cursor + num_rows) % capacity
+        rows = (cursor + torch.arange(num_rows)) % capacity
+        return name, self._storage.offsets[name] + rows
+
+    def _empty(self, empty_write_count: bool = True) -> None:
+        self._cursors = dict.fromkeys(self._cursors, 0)
+        if empty_write_count:
+            self._write_count = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Where each ring goes on."""
+        return {"cursors": dict(self._cursors), "write_count": self._write_count}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Undo `state_dict`."""
+        self._cursors = dict(state_dict["cursors"])
+        self._write_count = state_dict["write_count"]
+
+    def dumps(self, path: str | Path) -> None:
+        """Write `state_dict` into the folder `path`."""
+        Path(path).mkdir(parents=True, exist_ok=True)
+        (Path(path) / "writer.json").write_text(json.dumps(self.state_dict()))
+
+    def loads(self, path: str | Path) -> None:
+        """Read what `dumps` wrote."""
+        self.load_state_dict(json.loads((Path(path) / "writer.json").read_text()))
