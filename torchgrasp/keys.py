@@ -9,10 +9,12 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | T_BASE_EE, T_BASE_CAMERA | *, 4, 4 | poses in the robot base |
 | T_BASE_OBJECT | *, 4, 4 | pose of the target; privileged: no policy reads it |
 | OBJECT_ID | *, 1 int64 | index of the target in the ObjectSet; privileged |
+| WORLD | *, 1 int64 | number of the world; with EPISODE it names an episode |
 | EPISODE | *, 1 int64 | the episode's number in its world, from 0 |
 | JOINTS, JOINT_VELOCITIES | *, 9 | 7 arm angles, 2 finger positions (m), and their rates |
 | TIME_LEFT | *, 1 | (T - t) / T |
 | POINTS | *, N, C | network input, ee frame: xyz, then a flag that is 1 for gripper points |
+| NUM_POINTS | *, 1 int64 | how many rows of POINTS were observed rather than filled in |
 | ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
 | GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
@@ -31,11 +33,13 @@ T_BASE_EE = "T_base_ee"
 T_BASE_CAMERA = "T_base_camera"
 T_BASE_OBJECT = "T_base_object"
 OBJECT_ID = "object_id"
+WORLD = "world"
 EPISODE = "episode"
 JOINTS = "joints"
 JOINT_VELOCITIES = "joint_velocities"
 TIME_LEFT = "time_left"
 POINTS = "points"
+NUM_POINTS = "num_points"
 ACTION = "action"
 EXPERT_ACTION = "expert_action"
 HAS_EXPERT = "has_expert"

@@ -108,7 +108,9 @@ class GraspEnv(EnvBase):
             return Binary(shape=(n, *shape), dtype=torch.bool, device=device)
 
         camera = Composite(
-            {"depth": real(cam.height, cam.width), "mask": flag(cam.height, cam.width)}, shape=(n,), device=device
+            {"depth": real(cam.height, cam.width), "mask": flag(cam.height, cam.width)},
+            shape=(n,),
+            device=device,
         )
         self.observation_spec = Composite(
             {
@@ -117,6 +119,7 @@ class GraspEnv(EnvBase):
                 keys.T_BASE_CAMERA: real(4, 4),
                 keys.T_BASE_OBJECT: real(4, 4),
                 keys.OBJECT_ID: count(),
+                keys.WORLD: count(),
                 keys.EPISODE: count(),
                 keys.JOINTS: real(9),
                 keys.JOINT_VELOCITIES: real(9),
@@ -175,7 +178,9 @@ class GraspEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get(keys.ACTION).detach().to("cpu", torch.float64)
         if not bool(torch.isfinite(action).all()):
-            raise ValueError("GraspEnv was given an action with NaN or infinity: look at the policy's output.")
+            raise ValueError(
+                "GraspEnv was given an action with NaN or infinity: look at the policy's output."
+            )
         rows = self._rows(tensordict, "_step")
         rows = rows[~self._over[rows]]
         bound = torch.tensor(ACTION_BOUND, dtype=torch.float64)
@@ -218,6 +223,7 @@ class GraspEnv(EnvBase):
         for key, array in arrays.items():
             out.set(key, torch.from_numpy(array.astype(np.float32)))
         out.set(keys.OBJECT_ID, torch.from_numpy(self._object_ids[:, None].copy()))
+        out.set(keys.WORLD, torch.arange(self.num_envs)[:, None] + self.first_world)
         out.set(keys.EPISODE, torch.from_numpy(self._episodes[:, None].copy()))
         return out
 

@@ -89,7 +89,7 @@ class SceneSampler:
                 return Scene(object_id, T_base_object, q)
         raise ObjectError(
             f"None of {_MAX_TRIES} draws from {len(self.objects)} objects (the last: "
-            f"{self.objects[object_id].name}) lies within reach with {_MIN_GRASPS} grasps clear of the table: "
+            f"{self.objects[object_id].name}) lies within reach with {_MIN_GRASPS} grasps clear: "
             "choose other objects, or widen start.table_x and start.table_y."
         )
 
@@ -106,13 +106,19 @@ class SceneSampler:
         poses = self.resting_poses(object_id)
         if not len(poses):
             return None
-        yaw, x, y = rng.uniform(-np.pi, np.pi), rng.uniform(*self.start.table_x), rng.uniform(*self.start.table_y)
+        yaw, x, y = (
+            rng.uniform(-np.pi, np.pi),
+            rng.uniform(*self.start.table_x),
+            rng.uniform(*self.start.table_y),
+        )
         turn = np.eye(4)
         turn[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
         turn[:2, 3] = x, y
         return turn @ poses[rng.integers(len(poses))]
 
-    def _start_posture(self, rng: np.random.Generator, target: GraspObject, T_base_object: np.ndarray) -> np.ndarray | None:
+    def _start_posture(
+        self, rng: np.random.Generator, target: GraspObject, T_base_object: np.ndarray
+    ) -> np.ndarray | None:
         clear = clear_grasps(target, T_base_object)
         order = rng.permutation(len(clear))[:64]
         clear = type(clear)(clear.index[order], clear.T_base_ee[order])

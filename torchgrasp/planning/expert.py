@@ -63,7 +63,14 @@ class ExpertPolicy(TensorDictModuleBase):
         self.horizon = horizon
         self.planner = planner or GraspPlanner()
         self.loyalty = loyalty
-        self.in_keys = [keys.T_BASE_EE, keys.T_BASE_OBJECT, keys.OBJECT_ID, keys.EPISODE, keys.JOINTS, keys.TIME_LEFT]
+        self.in_keys = [
+            keys.T_BASE_EE,
+            keys.T_BASE_OBJECT,
+            keys.OBJECT_ID,
+            keys.EPISODE,
+            keys.JOINTS,
+            keys.TIME_LEFT,
+        ]
         self.out_keys = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL]
         self.execute = execute
         if execute:
@@ -80,7 +87,10 @@ class ExpertPolicy(TensorDictModuleBase):
         """Write the labels; every input is (*, ...) as the environment gives it."""
         batch = tensordict.batch_size
         n = batch.numel()
-        state = {key: tensordict.get(key).reshape(n, *tensordict.get(key).shape[len(batch) :]) for key in self.in_keys}
+        state = {
+            key: tensordict.get(key).reshape(n, *tensordict.get(key).shape[len(batch) :])
+            for key in self.in_keys
+        }
         T_base_ee = state[keys.T_BASE_EE].double().cpu().numpy()
         T_base_object = state[keys.T_BASE_OBJECT].double().cpu().numpy()
         q = state[keys.JOINTS].double().cpu().numpy()[:, :7]
@@ -89,14 +99,22 @@ class ExpertPolicy(TensorDictModuleBase):
 
         goals, has_goal = T_base_ee.copy(), np.zeros(n, dtype=bool)
         for i in range(n):
-            goal = self._pursue(i, tuple(identity[i]), T_base_ee[i], T_base_object[i], q[i], int(steps_left[i]))
+            goal = self._pursue(
+                i, tuple(identity[i]), T_base_ee[i], T_base_object[i], q[i], int(steps_left[i])
+            )
             if goal is not None:
                 goals[i], has_goal[i] = goal, True
         target = self.planner.funnel.next_pose(T_base_ee, goals, steps_left, self.horizon)
         return self._write(tensordict, T_base_ee, target, goals, has_goal)
 
     def _pursue(
-        self, i: int, episode: tuple[int, int], T_base_ee: Array, T_base_object: Array, q: Array, steps_left: int
+        self,
+        i: int,
+        episode: tuple[int, int],
+        T_base_ee: Array,
+        T_base_object: Array,
+        q: Array,
+        steps_left: int,
     ) -> Array | None:
         """The (4, 4) grasp that world i goes for, None where there is none."""
         pursuit = self._pursuits.get(i)

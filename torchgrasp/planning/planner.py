@@ -27,7 +27,7 @@ class PlanStatus(Enum):
     NO_GRASPS = "the object has no grasps"
     TABLE = "every grasp would put the hand into the table"
     REACH = "no grasp is within the arm's reach"
-    BLOCKED = "the way to every grasp that was tried is blocked"
+    BLOCKED = "the way to every grasp in reach is blocked"
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class GraspPlanner:
         funnel: the law that is rolled out.
         quality_weight: metres of L_POSE that a grasp of quality 1 is preferred by.
         max_reached: how many of the nearest grasps are solved for the arm.
-        max_rollouts: how many of those are rolled out; the rest stay usable at `unproved` metres.
+        num_rollouts: how many of those are rolled out at once, until one way is free.
         unproved: penalty of a grasp whose way was not tried.
         blocked: penalty of a grasp whose way was found blocked from the start.
     """
@@ -73,11 +73,13 @@ class GraspPlanner:
     funnel: Funnel = field(default_factory=Funnel)
     quality_weight: float = 0.03
     max_reached: int = 48
-    max_rollouts: int = 8
+    num_rollouts: int = 8
     unproved: float = 0.03
     blocked: float = 0.25
 
-    def plan(self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int) -> Plan:
+    def plan(
+        self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
+    ) -> Plan:
         """Rank the grasps for a hand that stands at q with `steps_left` of `horizon` steps to go.
 
         Args:
@@ -97,18 +99,36 @@ class GraspPlanner:
         if not len(clear):
             return Plan(PlanStatus.TABLE, empty)
         T_base_ee = kinematics.forward_kinematics(q[None])[0]
-        cost = pose_distances(T_base_ee, clear.T_base_ee) - self.quality_weight * target.grasp_quality[clear.index]
+        cost = (
+            pose_distances(T_base_ee, clear.T_base_ee)
+            - self.quality_weight * target.grasp_quality[clear.index]
+        )
         order = np.argsort(cost, kind="stable")
         ranked = ReachableGrasps(clear.index[order], clear.T_base_ee[order])
         reached = in_reach(ranked, q, at_most=self.max_reached)
         if not len(reached):
             return Plan(PlanStatus.REACH, empty)
-        penalty = np.full(len(reached), self.unproved) - self.quality_weight * target.grasp_quality[reached.index]
-        tried = min(self.max_rollouts, len(reached))
-        free = self._way_is_free(target, T_base_object, q, reached.T_base_ee[:tried], steps_left, horizon)
-        penalty[:tried] += np.where(free, -self.unproved, self.blocked)
-        status = PlanStatus.OK if free.any() or tried < len(reached) else PlanStatus.BLOCKED
-        return Plan(status, reached, penalty)
+        free = self._prove(target, T_base_object, q, reached.T_base_ee, steps_left, horizon)
+        if not (free > 0).any():
+            return Plan(PlanStatus.BLOCKED, empty)
+        toll = np.array([self.blocked, self.unproved, 0.0])[free + 1]
+        return Plan(PlanStatus.OK, reached, toll - self.quality_weight * target.grasp_quality[reached.index])
+
+    def _prove(
+        self, target: GraspObject, T_base_object: Array, q: Array, goals: Array, steps_left: int, horizon: int
+    ) -> np.ndarray:
+        """(K,) 1 where the way to the goal is free, -1 where blocked, 0 where not tried.
+
+        Goals (K, 4, 4) are tried a batch at a time until some way is free.
+        """
+        free = np.zeros(len(goals), dtype=np.int64)
+        for start in range(0, len(goals), self.num_rollouts):
+            batch = slice(start, start + self.num_rollouts)
+            way = self._way_is_free(target, T_base_object, q, goals[batch], steps_left, horizon)
+            free[batch] = np.where(way, 1, -1)
+            if way.any():
+                break
+        return free
 
     def _way_is_free(
         self, target: GraspObject, T_base_object: Array, q: Array, goals: Array, steps_left: int, horizon: int
@@ -134,5 +154,7 @@ class GraspPlanner:
 @functools.lru_cache(maxsize=512)
 def _surface_points(target: GraspObject) -> np.ndarray:
     """(512, 3) points on the object's surface, object frame; the same at every call."""
-    points, _ = sample_surface(target.vertices.astype(np.float64), target.faces, 512, np.random.default_rng(0))
+    points, _ = sample_surface(
+        target.vertices.astype(np.float64), target.faces, 512, np.random.default_rng(0)
+    )
     return points

@@ -160,7 +160,9 @@ def sample_postures(T_base_ee: Array, near: Array) -> Array:
         (K, 7) joint angles within the limits, K = 0 where the pose is out of reach.
     """
     flange = T_base_ee.astype(np.float64) @ _hand_yaw_inverse()
-    postures = np.asarray(frankik.ik_sample_q7(flange, near), dtype=np.float64).reshape(-1, 7)
+    postures = np.asarray(frankik.ik_sample_q7(flange, near, sample_size=40, sample_interval=330.0)).reshape(
+        -1, 7
+    )
     inside = np.all((postures >= JOINT_LOWER) & (postures <= JOINT_UPPER), axis=-1)
     postures = postures[inside & np.all(np.isfinite(postures), axis=-1)]
     return postures[np.argsort(np.linalg.norm(postures - near, axis=-1), kind="stable")]

@@ -1,0 +1,54 @@
+"""SamplePoints: a fixed number of points for the network."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+
+from torchgrasp import keys
+from torchgrasp.errors import ConfigError
+from torchgrasp.transforms.base import PointTransform, flat_batch
+
+
+class SamplePoints(PointTransform):
+    """Draws POINTS (*, num_points, 3) uniformly from the first NUM_POINTS rows (Sec. 6.2: 1024).
+
+    Without replacement where there are enough; where there are fewer, every point is taken and the
+    rest are drawn again. A cloud without points becomes zeros, and NUM_POINTS tells so with 0.
+
+    Args:
+        num_points: of the result.
+        seed: of the draws.
+
+    Example:
+        >>> import torch; from tensordict import TensorDict
+        >>> td = TensorDict({"points": torch.rand(2, 50, 3), "num_points": torch.tensor([[50], [7]])}, [2])
+        >>> SamplePoints(16)(td)["points"].shape
+        torch.Size([2, 16, 3])
+    """
+
+    def __init__(self, num_points: int = 1024, *, seed: int = 0) -> None:
+        if num_points < 1:
+            raise ConfigError(f"transforms.sample.num_points={num_points}: give at least 1.")
+        super().__init__(
+            in_keys=[keys.POINTS, keys.NUM_POINTS], out_keys=[keys.POINTS, keys.NUM_POINTS], seed=seed
+        )
+        self.num_points = num_points
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        points, counts = (flat_batch(next_tensordict.get(key), next_tensordict) for key in self.in_keys)
+        out = points.new_zeros(len(points), self.num_points, 3)
+        for row, rng in enumerate(self._generators(next_tensordict)):
+            if n := int(counts[row]):
+                order = rng.permutation(n)[: self.num_points]
+                again = rng.integers(n, size=self.num_points - len(order))
+                out[row, : len(order)] = points[row, torch.from_numpy(order)]
+                out[row, len(order) :] = points[row, torch.from_numpy(again)]
+        batch = next_tensordict.batch_size
+        next_tensordict.set(keys.POINTS, out.reshape(*batch, self.num_points, 3))
+        next_tensordict.set(keys.NUM_POINTS, counts.clamp_max(self.num_points).reshape(*batch, 1))
+        return next_tensordict
+
+    def _out_shapes(self, observation_spec: Composite) -> dict:
+        return {keys.POINTS: ((self.num_points, 3), torch.float32), keys.NUM_POINTS: ((1,), torch.int64)}
