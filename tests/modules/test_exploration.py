@@ -1,0 +1,70 @@
+"""DecayingUniformNoise: Sec. 6.4's ranges, only when exploring, reproducible and resumable."""
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.modules import ACTION_BOUND, DecayingUniformNoise
+
+
+def _noisy(noise, action=None, kind=ExplorationType.RANDOM):
+    action = torch.zeros(2000, 6) if action is None else action
+    with set_exploration_type(kind):
+        return noise(TensorDict({"action": action}, action.shape[:-1]))["action"]
+
+
+@pytest.mark.parametrize(
+    ("steps", "metres", "degrees"), [(0, 0.03, 8.0), (50, 0.0175, 4.5), (100, 0.005, 1.0), (900, 0.005, 1.0)]
+)
+def test_range(steps, metres, degrees):
+    noise = DecayingUniformNoise(100)
+    noise.step(steps)
+    reach = _noisy(noise).abs().amax(dim=0)
+    expected = torch.tensor([metres] * 3 + [math.radians(degrees)] * 3)
+    assert (reach <= expected + 1e-6).all()
+    assert (reach > 0.98 * expected).all()
+
+
+@pytest.mark.parametrize("kind", [ExplorationType.DETERMINISTIC, ExplorationType.MEAN, ExplorationType.MODE])
+def test_silent_without_exploration(kind):
+    assert torch.equal(_noisy(DecayingUniformNoise(100), kind=kind), torch.zeros(2000, 6))
+
+
+def test_actions_stay_within_bounds():
+    bound = torch.tensor(ACTION_BOUND)
+    assert (_noisy(DecayingUniformNoise(100), bound.expand(100, 6)) <= bound).all()
+
+
+def test_seed_and_state_dict():
+    first, second = DecayingUniformNoise(100, seed=3), DecayingUniformNoise(100, seed=4)
+    assert not torch.equal(_noisy(first), _noisy(second))
+    first.step(40)
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(_noisy(first), _noisy(second))
+    first.set_seed(9)
+    second.set_seed(9)
+    assert torch.equal(_noisy(first), _noisy(second))
+
+
+def test_counter_travels_with_the_weights_and_the_generator_does_not():
+    carried = TensorDict.from_module(DecayingUniformNoise(100))
+    assert "steps" in carried
+    assert all(value.dtype != torch.uint8 for value in carried.values())
+
+
+def test_other_keys_and_sizes():
+    noise = DecayingUniformNoise(1, start=[1.0], end=[0.5], action_bound=[0.1], action_key=("agent", "u"))
+    with set_exploration_type(ExplorationType.RANDOM):
+        td = noise(TensorDict({"agent": {"u": torch.zeros(50, 1)}}, [50]))
+    assert td["agent", "u"].abs().amax() == pytest.approx(0.1)
+
+
+def test_wrong_options_are_refused():
+    with pytest.raises(ConfigError, match="-1"):
+        DecayingUniformNoise(-1)
+    with pytest.raises(ConfigError, match="component"):
+        DecayingUniformNoise(1, start=[0.1])
