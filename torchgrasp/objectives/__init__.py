@@ -1,0 +1,6 @@
+"""Loss modules of the paper, the functions behind them, and target updates."""
+
+from torchgrasp.objectives.goal_aux import GoalAuxLoss as GoalAuxLoss
+from torchgrasp.objectives.pose_bc import PoseBCLoss as PoseBCLoss
+from torchgrasp.objectives.target_update import StaggeredTargetUpdate as StaggeredTargetUpdate
+from torchgrasp.objectives.td3_bc import GraspTD3BCLoss as GraspTD3BCLoss

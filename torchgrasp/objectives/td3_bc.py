@@ -1,0 +1,265 @@
+"""Reinforcement, imitation and goal prediction together: Eq. (3), (4) and (5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictParams, dispatch
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Bounded
+from torchrl.envs.utils import step_mdp
+from torchrl.objectives import ValueEstimators
+
+from torchgrasp import keys
+from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.modules import ACTION_BOUND
+from torchgrasp.objectives import functional
+from torchgrasp.objectives.base import Distance, GraspLoss, unique_keys
+from torchgrasp.objectives.side_by_side import SideBySide
+from torchgrasp.objectives.smoothing import TargetSmoothing
+
+
+class GraspTD3BCLoss(GraspLoss):
+    """TD3 with imitation and goal prediction; its terms sum to Eq. (3) and Eq. (4), weights included.
+
+    Critic: `loss_qvalue` = sum over heads of 1/2 (Q - y)^2, where no disturbance moved the arm, and
+    `loss_critic_aux` = aux_weight L_AUX. Actor: `loss_actor_bc` = λ L_BC,
+    `loss_actor_ddpg` = (1 - λ) (-Q1(s, π(s))) and `loss_actor_aux` = aux_weight L_AUX; their gradients
+    stop at the critic's parameters. `critic_loss` and `actor_loss` compute one side each, for actor
+    updates that come every second time; `forward` computes both. Terms of weight 0, and goal terms of
+    networks without a goal prediction, are absent from the output.
+
+    The discount is 0.95 until ``make_value_estimator(gamma=...)``. The batch's td error is written
+    under the priority key.
+
+    Args:
+        actor_network: reads the state, writes the action (*, A) and, or not, a goal prediction.
+        critic_network: reads state and action, writes values side by side (*, Q) and, or not, a goal
+            prediction. Or a list of critics, which keep their weights.
+        bc_weight: λ in [0, 1]. 0 needs no expert; 1 is imitation, and the critic is not asked.
+        aux_weight: of L_AUX on either side.
+        distance: between (*, A) actions, (*) per sample; L_POSE of Eq. (2) by default.
+        goal_distance: between (*, G) goals.
+        hindsight: multiply L_AUX by the episode's success (Eq. 5).
+        policy_noise: standard deviation of the target action's noise, in units of the action's half
+            range; 0 and one value make it DDPG.
+        noise_clip: largest magnitude of that noise, in the same units.
+        action_bound: largest magnitude of each action component, to which target actions are clipped.
+        action_spec: a bounded spec that gives the limits instead.
+        staggered_targets: keep a second set of target parameters for the values after the first, for
+            StaggeredTargetUpdate; without it one pass gives all target values. A list of critics
+            needs no second set.
+        reduction: 'mean' (over the samples that a term counts), 'sum' or 'none'.
+        generator: of the target noise; torch's own without one.
+
+    Example:
+        >>> from torchgrasp.modules import GraspActor, GraspCritic, PointNet
+        >>> loss = GraspTD3BCLoss(GraspActor(PointNet), GraspCritic(PointNet), bc_weight=0.0)
+        >>> from torchgrasp.objectives import StaggeredTargetUpdate
+        >>> updater = StaggeredTargetUpdate(loss)
+        >>> state = {"points": torch.rand(2, 64, 4), "time_left": torch.ones(2, 1)}
+        >>> ends = {"reward": torch.ones(2, 1), "terminated": torch.ones(2, 1, dtype=torch.bool)}
+        >>> goal = torch.tensor([[0.0, 0, 0.1, 0, 0, 0, 1]]).expand(2, 7)
+        >>> batch = TensorDict({**state, "action": torch.zeros(2, 6), "goal": goal,
+        ...                     "next": {**state, **ends}}, [2])
+        >>> sorted(key for key in loss(batch).keys() if key.startswith("loss_actor"))
+        ['loss_actor_aux', 'loss_actor_ddpg']
+    """
+
+    @dataclass
+    class _AcceptedKeys:
+        action: NestedKey = keys.ACTION
+        state_action_value: NestedKey = keys.STATE_ACTION_VALUE
+        reward: NestedKey = "reward"
+        terminated: NestedKey = "terminated"
+        done: NestedKey = "done"
+        expert_action: NestedKey = keys.EXPERT_ACTION
+        has_expert: NestedKey = keys.HAS_EXPERT
+        goal_prediction: NestedKey = keys.GOAL_PREDICTION
+        goal: NestedKey = keys.GOAL
+        has_goal: NestedKey = keys.HAS_GOAL
+        perturbed: NestedKey = keys.PERTURBED
+        episode_success: NestedKey = keys.EPISODE_SUCCESS
+        priority: NestedKey = "td_error"
+        priority_weight: NestedKey = "priority_weight"
+
+    default_keys = _AcceptedKeys
+    default_value_estimator = ValueEstimators.TD0
+
+    actor_network: TensorDictModuleBase
+    actor_network_params: TensorDictParams
+    target_actor_network_params: TensorDictParams
+    critic_network: TensorDictModuleBase
+    critic_network_params: TensorDictParams
+    target_critic_network_params: TensorDictParams
+    target_delayed_critic_network_params: TensorDictParams
+    gamma: Tensor
+
+    def __init__(
+        self,
+        actor_network: TensorDictModuleBase,
+        critic_network: TensorDictModuleBase | Sequence[TensorDictModuleBase],
+        *,
+        bc_weight: float = 0.2,
+        aux_weight: float = 1.0,
+        distance: Distance = functional.action_distance,
+        goal_distance: Distance = functional.goal_distance,
+        hindsight: bool = False,
+        policy_noise: float = 0.2,
+        noise_clip: float = 0.5,
+        action_bound: Sequence[float] = ACTION_BOUND,
+        action_spec: Bounded | None = None,
+        staggered_targets: bool = True,
+        reduction: str = "mean",
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__(reduction=reduction)
+        check_range("bc_weight", bc_weight, 0.0, 1.0)
+        check_range("aux_weight", aux_weight, 0.0, float("inf"))
+        self._adopt_networks(actor_network, critic_network, staggered_targets)
+        self.bc_weight, self.aux_weight, self.hindsight = bc_weight, aux_weight, hindsight
+        self.distance, self.goal_distance = distance, goal_distance
+        self.smoothing = TargetSmoothing(
+            policy_noise=policy_noise,
+            noise_clip=noise_clip,
+            action_bound=action_bound,
+            action_spec=action_spec,
+            generator=generator,
+        )
+        self.register_buffer("gamma", torch.tensor(0.95))  # Sec. 6.4
+
+    def _adopt_networks(self, actor: Any, critic: Any, staggered: bool) -> None:
+        one = isinstance(critic, TensorDictModuleBase)
+        joined: Any = critic if one else SideBySide(list(critic))
+        self._adopt(actor, "actor_network", with_target=True)
+        self._adopt(joined, "critic_network", with_target=True)
+        self.has_delayed_critic = staggered and one
+        if self.has_delayed_critic:
+            # By way of _modules: the attribute warns that nothing updates the targets yet.
+            copy: Any = deepcopy(self._modules["target_critic_network_params"])
+            self.target_delayed_critic_network_params = copy
+            self._has_update_associated["delayed_critic_network"] = False
+
+    @property
+    def delayed_critic_network_params(self) -> TensorDictParams:
+        """What the delayed targets follow: torchrl's updaters look targets' sources up by name."""
+        return self.critic_network_params
+
+    def make_value_estimator(self, value_type: Any = None, **hyperparams: float) -> GraspTD3BCLoss:
+        """Set `gamma`. The one estimator is TD(0), which y of Eq. (3) is."""
+        if value_type not in (None, ValueEstimators.TD0) or set(hyperparams) - {"gamma"}:
+            given = f"value_type={value_type} with {hyperparams}"
+            raise ConfigError(f"{given} is not offered: choose ValueEstimators.TD0 and gamma.")
+        gamma = hyperparams.get("gamma", 0.95)
+        check_range("gamma", gamma, 0.0, 1.0)
+        self.gamma.fill_(gamma)
+        return self
+
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
+        """Nothing to forward: the target is computed here."""
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """Everything that is read; the masks may be missing."""
+        state = unique_keys(self.actor_network.in_keys, self.critic_network.in_keys)
+        names = ["action", "perturbed"]
+        names += ["expert_action", "has_expert"] * (self.bc_weight > 0)
+        if self._predicts_goal(self.actor_network) or self._predicts_goal(self.critic_network):
+            names += ["goal", "has_goal"] + ["episode_success"] * self.hindsight
+        ends = [("next", self._key("reward")), ("next", self._key("terminated"))]
+        following = [("next", key) for key in state if key != self._key("action")]
+        return unique_keys(state, [self._key(name) for name in names], following, ends)
+
+    @property
+    def out_keys(self) -> list[NestedKey]:
+        """The terms that this configuration has, then figures without gradients."""
+        terms = {
+            "loss_qvalue": True,
+            "loss_critic_aux": self._predicts_goal(self.critic_network),
+            "loss_actor_bc": self.bc_weight > 0,
+            "loss_actor_ddpg": self.bc_weight < 1,
+            "loss_actor_aux": self._predicts_goal(self.actor_network),
+        }
+        return [*(key for key, present in terms.items() if present), "td_error", "pred_value", "target_value"]
+
+    @dispatch()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """A batch to all terms and figures."""
+        return self.critic_loss(tensordict).update(self.actor_loss(tensordict))
+
+    def critic_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The terms of Eq. (3), and the figures `td_error`, `pred_value` and `target_value`."""
+        target = self._target_value(tensordict)
+        written = self._run(self.critic_network, self.critic_network_params, tensordict)
+        value = written.get(self._key("state_action_value"))
+        error = value - target  # (*, Q)
+        mask = self._mask(tensordict, "perturbed")
+        mask = None if mask is None else ~mask
+        out = {"loss_qvalue": self._reduce(0.5 * error.square().sum(dim=-1), tensordict, mask)}
+        if self._predicts_goal(self.critic_network):
+            out["loss_critic_aux"] = self._weighted_goal_term(written, tensordict)
+        worst = error.detach().abs().amax(dim=-1)
+        tensordict.set(self._key("priority"), worst)
+        out["td_error"] = functional.masked_mean(worst, mask)
+        out["pred_value"], out["target_value"] = value.detach().mean(), target.mean()
+        return TensorDict(out, [])
+
+    def actor_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The terms of Eq. (4)."""
+        written = self._run(self.actor_network, self.actor_network_params, tensordict)
+        action = written.get(self._key("action"))
+        out = {}
+        if self.bc_weight > 0:
+            expert = self._read(tensordict, "expert_action", "switch imitation off by bc_weight=0")
+            distance = self.distance(expert, action)
+            mask = self._mask(tensordict, "has_expert")
+            out["loss_actor_bc"] = self.bc_weight * self._reduce(distance, tensordict, mask)
+        if self.bc_weight < 1:
+            value = self._first_value(tensordict, action)
+            out["loss_actor_ddpg"] = (self.bc_weight - 1) * self._reduce(value, tensordict)
+        if self._predicts_goal(self.actor_network):
+            out["loss_actor_aux"] = self._weighted_goal_term(written, tensordict)
+        return TensorDict(out, [])
+
+    def _first_value(self, tensordict: TensorDictBase, action: Tensor) -> Tensor:
+        """Q1(s, action), (*), with gradients to the action alone."""
+        inputs = tensordict.select(*self.critic_network.in_keys, strict=False).set(
+            self._key("action"), action
+        )
+        written = self._run(self.critic_network, self.critic_network_params.detach(), inputs)
+        return written.get(self._key("state_action_value"))[..., 0]
+
+    @torch.no_grad()
+    def _target_value(self, tensordict: TensorDictBase) -> Tensor:
+        """Target y of Eq. (3), (*, 1)."""
+        following = step_mdp(tensordict)
+        acted = self._run(self.actor_network, self.target_actor_network_params, following)
+        following.set(self._key("action"), self.smoothing(acted.get(self._key("action"))))
+        values = self._target_values(following)
+        ends = tensordict.get("next")
+        reward, terminated = ends.get(self._key("reward")), ends.get(self._key("terminated"))
+        return functional.bellman_target(reward, terminated, values, self.gamma)
+
+    def _target_values(self, following: TensorDictBase) -> Tensor:
+        """(*, Q): the first value from the targets that follow, the others from those copied."""
+        key = self._key("state_action_value")
+        values = self._run(self.critic_network, self.target_critic_network_params, following).get(key)
+        if not self.has_delayed_critic or values.shape[-1] == 1:
+            return values
+        params = self.target_delayed_critic_network_params
+        delayed = self._run(self.critic_network, params, following).get(key)
+        return torch.cat((values[..., :1], delayed[..., 1:]), dim=-1)
+
+    def _predicts_goal(self, network: TensorDictModuleBase) -> bool:
+        return self.aux_weight > 0 and self._writes(network, "goal_prediction")
+
+    def _weighted_goal_term(self, written: TensorDictBase, tensordict: TensorDictBase) -> Tensor:
+        predicted = written.get(self._key("goal_prediction"))
+        term = self._goal_term(predicted, tensordict, self.goal_distance, success_only=self.hindsight)
+        return self.aux_weight * term
