@@ -2,6 +2,10 @@
 
 from torchgrasp.data.buffer import MixtureReplayBuffer as MixtureReplayBuffer
 from torchgrasp.data.compact import CompactTransitions as CompactTransitions
+from torchgrasp.data.demonstrations import Demonstrations as Demonstrations
+from torchgrasp.data.demonstrations import append_shard as append_shard
+from torchgrasp.data.demonstrations import count_shards as count_shards
+from torchgrasp.data.demonstrations import open_demonstrations as open_demonstrations
 from torchgrasp.data.episodes import label_episode_success as label_episode_success
 from torchgrasp.data.episodes import split_episodes as split_episodes
 from torchgrasp.data.memory import estimate_bytes as estimate_bytes

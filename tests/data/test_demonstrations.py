@@ -1,0 +1,143 @@
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from rollouts import make_rollout
+
+from torchgrasp.data import (
+    MixtureReplayBuffer,
+    append_shard,
+    count_shards,
+    open_demonstrations,
+    split_episodes,
+)
+from torchgrasp.errors import CheckpointError, ConfigError
+
+
+def make_episodes(seed):
+    return split_episodes(make_rollout(4, 20, generator=torch.Generator().manual_seed(seed)))
+
+
+def append(path, index, episodes=None):
+    episodes = episodes or make_episodes(index)
+    names = [("mug", "bowl")[i % 2] for i in range(len(episodes))]
+    return append_shard(path, episodes, objects=names, seeds=range(len(episodes)), index=index)
+
+
+def test_episodes_come_back_as_they_were(tmp_path):
+    for index in range(3):
+        append(tmp_path, index)
+    episodes = [episode for index in range(3) for episode in make_episodes(index)]
+    read = list(open_demonstrations(tmp_path).iterate_episodes())
+    assert len(read) == len(episodes)
+    for old, new in zip(episodes, read, strict=True):
+        assert new.shape == old.shape
+        for key in ("points", "time_left", "action", "expert_action", "goal", "has_goal", "perturbed"):
+            assert torch.equal(new[key], old[key])
+        assert torch.equal(new["next", "reward"], old["next", "reward"])
+        live = ~old["next", "terminated"].squeeze(-1)
+        assert torch.equal(new["next", "points"][live], old["next", "points"][live])
+
+
+def test_card_counts_what_the_shards_hold(tmp_path):
+    card = append(tmp_path, 0)
+    card = append(tmp_path, 1)
+    episodes = make_episodes(0) + make_episodes(1)
+    successes = sum(int(e["next", "reward"][-1].item() > 0.5) for e in episodes)
+    assert card == json.loads((tmp_path / "card.json").read_text()) == open_demonstrations(tmp_path).card
+    assert (card["episodes"], card["successes"], card["shards"]) == (len(episodes), successes, 2)
+    assert sum(counts["episodes"] for counts in card["objects"].values()) == len(episodes)
+    on_disk = sum(f.stat().st_size for f in tmp_path.rglob("rows/**/*") if f.is_file())
+    assert card["bytes"] == on_disk
+
+
+def test_demonstrations_fill_a_buffer_without_being_decoded(tmp_path):
+    append(tmp_path, 0)
+    demonstrations = open_demonstrations(tmp_path)
+    buffer = MixtureReplayBuffer({"expert": 1000}, {"expert": 1.0}, batch_size=32)
+    for rows in demonstrations.iterate_rows():
+        buffer.extend_rows(rows, source="expert")
+    assert buffer.num_rows()["expert"] == sum(len(e) for e in make_episodes(0))
+    batch = buffer.sample()
+    live = ~batch["next", "terminated"].squeeze(-1)
+    assert torch.equal(batch["next", "time_left"][live], batch["time_left"][live] + 1)
+
+
+def test_a_collection_goes_on_after_its_last_complete_shard(tmp_path):
+    path = tmp_path / "demos"
+    assert count_shards(path) == 0
+    append(path, 0)
+    # What a killed process leaves behind: a part of the next shard.
+    shutil.copytree(path / "shard_00000" / "rows", path / ".shard_00001.new" / "rows")
+    assert count_shards(path) == 1
+    append(path, count_shards(path))
+    expected = len(make_episodes(0)) + len(make_episodes(1))
+    assert open_demonstrations(path).num_episodes == expected
+    assert not list(path.glob(".shard*"))
+
+
+def test_a_killed_collection_loses_and_doubles_nothing(tmp_path):
+    path = tmp_path / "demos"
+    script = f"""
+        import sys
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import test_demonstrations as t
+        for index in range(t.count_shards({str(path)!r}), 1000):
+            t.append({str(path)!r}, index)
+    """
+    for _ in range(2):
+        child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", textwrap.dedent(script)])
+        before, deadline = count_shards(path), time.monotonic() + 60
+        while count_shards(path) < before + 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+    demonstrations = open_demonstrations(path)
+    assert demonstrations.num_shards >= 6
+    read = demonstrations.iterate_episodes()
+    for index in range(demonstrations.num_shards):
+        for episode in make_episodes(index):
+            assert torch.equal(next(read)["action"], episode["action"])
+    assert next(read, None) is None
+
+
+def test_shards_out_of_order_are_refused(tmp_path):
+    append(tmp_path, 0)
+    for index in (0, 2):
+        with pytest.raises(ConfigError, match="append 1"):
+            append(tmp_path, index)
+
+
+def test_parts_of_episodes_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="split_episodes"):
+        append(tmp_path, 0, [make_episodes(0)[0][:-1]])
+
+
+def test_damage_is_found_on_opening_and_named(tmp_path):
+    append(tmp_path, 0)
+    append(tmp_path, 1)
+    points = tmp_path / "shard_00001" / "rows" / "points.memmap"
+    content = points.read_bytes()
+    points.write_bytes(content[:-10])
+    with pytest.raises(CheckpointError, match=r"points.memmap has \d+ bytes instead of"):
+        open_demonstrations(tmp_path)
+    points.unlink()
+    with pytest.raises(CheckpointError, match=r"points\.memmap is missing"):
+        open_demonstrations(tmp_path)
+    points.write_bytes(content)
+    (tmp_path / "shard_00000" / "shard.json").write_text("{")
+    with pytest.raises(CheckpointError, match=r"shard\.json"):
+        open_demonstrations(tmp_path)
+    shutil.rmtree(tmp_path / "shard_00000")
+    with pytest.raises(CheckpointError, match="lacks shard_00000"):
+        open_demonstrations(tmp_path)
+    with pytest.raises(CheckpointError, match="no demonstrations"):
+        open_demonstrations(tmp_path / "nowhere")

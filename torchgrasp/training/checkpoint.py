@@ -1,0 +1,113 @@
+"""Checkpoints: a folder of safetensors and JSON, whole or not there, checked when it is read."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+import torchgrasp
+from torchgrasp.data.files import find_folder, replace_folder
+from torchgrasp.errors import CheckpointError
+from torchgrasp.training.tree import pack_tree, unpack_tree
+
+_MANIFEST = "manifest.json"
+_FORMAT = 1
+_REMEDY = "restore the folder from a copy, or start a run without resume="
+
+
+def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
+    """Write `state` to the folder `path`, replacing the checkpoint there only once all is on disk.
+
+    Each entry becomes `<name>.json` and, for its tensors, `<name>.safetensors`; what an entry may
+    hold is told by `pack_tree` (state_dicts of modules, optimizers, samplers, replay buffers and
+    generators all qualify). `manifest.json` keeps size and CRC-32 of every file.
+    """
+    with replace_folder(path) as folder:
+        for name, value in state.items():
+            if not name.replace("_", "").replace("-", "").isalnum():
+                raise CheckpointError(
+                    f"{name!r} names an entry of a checkpoint: use letters, digits, _ and -."
+                )
+            tree, tensors = pack_tree(value)
+            (folder / f"{name}.json").write_text(json.dumps(tree))
+            if tensors:
+                save_file(_separate(tensors), folder / f"{name}.safetensors")
+        files = {file.name: _describe(file) for file in sorted(folder.iterdir())}
+        manifest = {"format": _FORMAT, "torchgrasp": torchgrasp.__version__, "entries": list(state)}
+        (folder / _MANIFEST).write_text(json.dumps({**manifest, "files": files}, indent=2))
+
+
+def load_checkpoint(path: str | Path) -> dict[str, Any]:
+    """Read what `save_checkpoint` wrote, tensors on the CPU; CheckpointError says what is wrong with it."""
+    folder = find_folder(path)
+    manifest = _read_manifest(folder)
+    for name, expected in manifest["files"].items():
+        _check_file(folder / name, expected)
+    return {name: _load_entry(folder, name) for name in manifest["entries"]}
+
+
+def has_checkpoint(path: str | Path) -> bool:
+    """Whether a complete checkpoint lies at the folder `path`."""
+    return (find_folder(path) / _MANIFEST).is_file()
+
+
+def _load_entry(folder: Path, name: str) -> Any:
+    try:
+        tree = json.loads((folder / f"{name}.json").read_text())
+        file = folder / f"{name}.safetensors"
+        return unpack_tree(tree, load_file(file) if file.exists() else {})
+    except (ValueError, KeyError, OSError, SafetensorError) as error:
+        raise CheckpointError(f"{folder / name} cannot be read ({error}): {_REMEDY}.") from error
+
+
+def _read_manifest(folder: Path) -> dict[str, Any]:
+    file = folder / _MANIFEST
+    if not file.is_file():
+        raise CheckpointError(f"There is no checkpoint at {folder} (no {_MANIFEST}): name a run directory's.")
+    try:
+        manifest = json.loads(file.read_text())
+        version, _, _ = manifest["format"], dict(manifest["files"]), list(manifest["entries"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise CheckpointError(f"{file} is damaged ({error}): {_REMEDY}.") from error
+    if version != _FORMAT:
+        raise CheckpointError(
+            f"{file} has format {version}, this version reads {_FORMAT}: update torchgrasp."
+        )
+    return manifest
+
+
+def _check_file(file: Path, expected: Mapping[str, int]) -> None:
+    if not file.is_file():
+        raise CheckpointError(f"{file} is missing: {_REMEDY}.")
+    size = file.stat().st_size
+    if size != expected["bytes"]:
+        raise CheckpointError(f"{file} has {size} bytes instead of {expected['bytes']}: {_REMEDY}.")
+    if _describe(file) != dict(expected):
+        raise CheckpointError(f"{file} was changed after it was saved (its checksum differs): {_REMEDY}.")
+
+
+def _describe(file: Path) -> dict[str, int]:
+    checksum = 0
+    with file.open("rb") as stream:
+        while block := stream.read(1 << 22):
+            checksum = zlib.crc32(block, checksum)
+    return {"bytes": file.stat().st_size, "crc32": checksum}
+
+
+def _separate(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Tensors on the CPU, contiguous, none sharing memory with another (safetensors refuses that)."""
+    seen: set[int] = set()
+    separate = {}
+    for name, tensor in tensors.items():
+        tensor = tensor.cpu().contiguous()
+        owner = tensor.untyped_storage().data_ptr()
+        separate[name] = tensor.clone() if owner in seen else tensor
+        seen.add(owner)
+    return separate

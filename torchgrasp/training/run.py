@@ -1,0 +1,84 @@
+"""Run directories, and what a summary says of the machine and the versions behind a number."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Mapping
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchgrasp.data.files import write_json_atomically
+from torchgrasp.errors import ConfigError
+
+_PACKAGES = ("torchgrasp", "torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
+_REQUIRED = (
+    *("success_rate", "success_ci95", "episodes", "objects"),
+    *("wall_seconds", "env_steps", "gradient_steps", "versions", "hardware"),
+)
+
+
+def make_run_dir(recipe: str, *, root: str | Path = "outputs") -> Path:
+    """Make and return `<root>/<recipe>/<date_time>`, with a number behind where that exists."""
+    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    for attempt in count():
+        path = Path(root) / recipe / (stamp if attempt == 0 else f"{stamp}_{attempt}")
+        try:
+            path.mkdir(parents=True)
+            return path
+        except FileExistsError:  # another run began in the same second
+            continue
+    raise AssertionError("unreachable")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on; those not installed left out."""
+    found = {"python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def hardware() -> dict[str, Any]:
+    """The machine: processor, cores this process may use, memory (bytes), accelerators, system."""
+    names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
+    return {
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
+        "accelerators": names,
+        "system": f"{platform.system()} {platform.release()}",
+    }
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def write_summary(run_dir: str | Path, summary: Mapping[str, Any]) -> dict[str, Any]:
+    """Write `<run_dir>/summary.json`, versions and hardware filled in, and return what was written.
+
+    `summary` gives at least success_rate, success_ci95 [low, high], episodes, objects {name:
+    {episodes, successes}} (SuccessTable.summary() has these four), wall_seconds, env_steps and
+    gradient_steps.
+    """
+    whole = {"versions": versions(), "hardware": hardware(), **summary}
+    missing = [key for key in _REQUIRED if key not in whole]
+    if missing:
+        raise ConfigError(f"The summary lacks {missing}: give a value for each.")
+    write_json_atomically(Path(run_dir) / "summary.json", whole)
+    return whole
