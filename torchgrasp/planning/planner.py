@@ -73,7 +73,7 @@ class GraspPlanner:
     funnel: Funnel = field(default_factory=Funnel)
     quality_weight: float = 0.03
     max_reached: int = 48
-    num_rollouts: int = 8
+    num_rollouts: int = 4
     unproved: float = 0.03
     blocked: float = 0.25
 

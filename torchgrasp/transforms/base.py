@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
-from torchgrasp import keys
-
-_TICKS = 1_000_000
+from torchgrasp.randomness import MomentGenerators
 
 
 class PointTransform(Transform):
@@ -29,8 +26,7 @@ class PointTransform(Transform):
 
     def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self.seed = seed
-        self._calls = 0
+        self._generators = MomentGenerators(seed)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Transform the tensordict and, where there is one, its "next"."""
@@ -52,23 +48,6 @@ class PointTransform(Transform):
         for key, (shape, dtype) in self._out_shapes(observation_spec).items():
             observation_spec[key] = Unbounded((*batch, *shape), dtype=dtype, device=device)
         return observation_spec
-
-    def _generators(self, tensordict: TensorDictBase) -> list[np.random.Generator]:
-        """One generator for each element of the batch.
-
-        It follows from (seed, world, episode, time left) where the tensordict tells them, so that a
-        rollout does not depend on its neighbours nor on what was drawn before; else from the number
-        of calls so far.
-        """
-        rows = [tensordict.get(key, None) for key in (keys.WORLD, keys.EPISODE, keys.TIME_LEFT)]
-        n = tensordict.batch_size.numel()
-        if any(row is None for row in rows):
-            self._calls += 1
-            return [np.random.default_rng((self.seed, self._calls, i)) for i in range(n)]
-        world, episode, time_left = (row.reshape(n).cpu() for row in rows)
-        ticks = (time_left * _TICKS).round().long()
-        streams = torch.stack((world, episode.clamp_min(0), ticks), dim=-1).tolist()
-        return [np.random.default_rng((self.seed, *stream)) for stream in streams]
 
 
 def flat_batch(tensor: Tensor, tensordict: TensorDictBase) -> Tensor:
