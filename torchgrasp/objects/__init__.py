@@ -1,5 +1,6 @@
 """What is grasped: objects with surfaces, physics parts, grasps and resting poses."""
 
+from torchgrasp.objects.folder import FolderObjects as FolderObjects
 from torchgrasp.objects.model import GraspObject as GraspObject
 from torchgrasp.objects.procedural import ProceduralObjects as ProceduralObjects
 from torchgrasp.objects.sets import ObjectSet as ObjectSet
