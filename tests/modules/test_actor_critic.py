@@ -6,6 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
+from torchrl.data import Bounded
+from torchrl.objectives import SoftUpdate, TD3Loss
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules import ACTION_BOUND, GraspActor, GraspCritic, PointNet, PointNet2
@@ -86,6 +88,22 @@ def test_dispatch():
 def test_a_finished_encoder_is_used_as_it_is():
     encoder = PointNet(4)
     assert GraspActor(encoder).module.encoder is encoder
+
+
+@pytest.mark.parametrize("encoder", [SMALL, partial(PointNet2, width=0.1)])
+def test_torchrls_own_loss_takes_them(encoder):
+    spec = Bounded(-torch.tensor(ACTION_BOUND), torch.tensor(ACTION_BOUND))
+    networks = GraspActor(encoder), GraspCritic(encoder, num_q=1)
+    loss = TD3Loss(*networks, action_spec=spec, deactivate_vmap=True)
+    SoftUpdate(loss, tau=0.01)
+    ends = {
+        "reward": torch.ones(3, 1),
+        "done": torch.zeros(3, 1).bool(),
+        "terminated": torch.zeros(3, 1).bool(),
+    }
+    out = loss(_batch(3).set("next", _batch(3).exclude("action").update(ends)))
+    (out["loss_actor"] + out["loss_qvalue"]).backward()
+    assert all(p.grad is not None for p in networks[0].module.encoder.parameters())
 
 
 def test_state_dict_round_trip():

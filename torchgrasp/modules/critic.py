@@ -22,6 +22,9 @@ class GraspCritic(TensorDictModule):
     encoder sees what the action does to the cloud; late fusion joins it to the cloud's feature
     (an ablation, and worse). Actions are divided by their bounds first. Q-values are not squashed.
 
+    In TorchRL's own losses set ``deactivate_vmap=True``: the encoders choose rows by their values,
+    which vmap cannot follow.
+
     Args:
         encoder: as for GraspActor, of C + A channels under early fusion, else of C.
         in_channels: C, without the action.

@@ -22,14 +22,16 @@ def max_over_rows(layers: nn.Module, rows: Tensor) -> Tensor:
     `layers` must treat each row on its own (linear, activation, LayerNorm; not BatchNorm).
     """
     flat = rows.flatten(0, 1)
-    return _max_over_groups(layers, lambda i: flat[i], rows.shape[:2], rows)
+    every = torch.ones(rows.shape[:2], dtype=torch.bool, device=rows.device)
+    return _max_over_groups(layers, lambda i: flat.index_select(0, i), every, needs_graph=rows.requires_grad)
 
 
 def max_over_neighbours(layers: nn.Module, points: Tensor, centres: Tensor, index: Tensor) -> Tensor:
     """Max over K of `layers` applied to ``points[index] - centres``: (B, M, F).
 
     `points` is (B, N, C), `centres` (B, M, C) and `index` (B, M, K) says which of the N points are a
-    centre's neighbours. `layers` as for `max_over_rows`.
+    centre's neighbours. `layers` as for `max_over_rows`. Places that repeat a centre's first
+    neighbour, as `ops.ball_query` fills them, cost nothing.
     """
     (clouds, num_centres, k), num_points = index.shape, points.shape[1]
     first = num_points * torch.arange(clouds, device=index.device)[:, None, None]
@@ -37,26 +39,33 @@ def max_over_neighbours(layers: nn.Module, points: Tensor, centres: Tensor, inde
     points, centres = points.flatten(0, 1), centres.flatten(0, 1)
 
     def rows(i: Tensor) -> Tensor:
-        return points[neighbour[i]] - centres[i // k]
+        return points.index_select(0, neighbour[i]) - centres.index_select(0, i // k)
 
-    pooled = _max_over_groups(layers, rows, torch.Size((clouds * num_centres, k)), points)
+    distinct = index != index[..., :1]
+    distinct[..., 0] = True
+    needs_graph = points.requires_grad or centres.requires_grad
+    pooled = _max_over_groups(layers, rows, distinct.flatten(0, 1), needs_graph=needs_graph)
     return pooled.unflatten(0, (clouds, num_centres))
 
 
 def _max_over_groups(
-    layers: nn.Module, rows: Callable[[Tensor], Tensor], shape: torch.Size, source: Tensor
+    layers: nn.Module, rows: Callable[[Tensor], Tensor], counts: Tensor, *, needs_graph: bool
 ) -> Tensor:
-    """The max over K of G groups of K rows; `rows` makes the rows of given numbers from `source`."""
+    """The max over K of G groups of K rows; `rows` makes the rows of given numbers.
+
+    `counts` (G, K) says which rows count; a group's first must. `needs_graph` says whether what the
+    rows are made from needs gradients.
+    """
     with torch.no_grad():
-        values, winner = _winners(layers, rows, shape, source.device)
-    if not (torch.is_grad_enabled() and (source.requires_grad or _any_trained(layers))):
+        values, winner = _winners(layers, rows, counts)
+    if not (torch.is_grad_enabled() and (needs_graph or _any_trained(layers))):
         return values
-    wins = torch.zeros(shape.numel(), dtype=torch.bool, device=source.device)
+    wins = torch.zeros(counts.numel(), dtype=torch.bool, device=counts.device)
     wins[winner.flatten()] = True
     place = (wins.cumsum(0) - 1)[winner]  # of each winner among the rows kept, (G, F)
     values = layers(rows(wins.nonzero().squeeze(-1)))
     channels = values.shape[-1]
-    cell = place * channels + torch.arange(channels, device=source.device)
+    cell = place * channels + torch.arange(channels, device=counts.device)
     return values.flatten().gather(0, cell.flatten()).view(cell.shape)
 
 
@@ -64,16 +73,29 @@ def _any_trained(layers: nn.Module) -> bool:
     return any(p.requires_grad for p in layers.parameters())
 
 
-def _winners(
-    layers: nn.Module, rows: Callable[[Tensor], Tensor], shape: torch.Size, device: torch.device
-) -> tuple[Tensor, Tensor]:
+def _winners(layers: nn.Module, rows: Callable[[Tensor], Tensor], counts: Tensor) -> tuple[Tensor, Tensor]:
     """Values of the max over each group, and the numbers of the rows that attain it, both (G, F)."""
-    groups, k = shape
-    step = max(1, _CHUNK_ROWS // k) if device.type == "cpu" else groups
+    groups, k = counts.shape
+    step = max(1, _CHUNK_ROWS // k) if counts.device.type == "cpu" else groups
     values, winner = [], []
     for start in range(0, groups, step):
-        number = torch.arange(start * k, min(groups, start + step) * k, device=device)
-        pooled = layers(rows(number)).unflatten(0, (-1, k)).max(dim=1)
-        values.append(pooled.values)
-        winner.append(pooled.indices + number[::k, None])
+        pooled = _pool(layers, rows, counts[start : start + step], start * k)
+        values.append(pooled[0])
+        winner.append(pooled[1])
     return torch.cat(values), torch.cat(winner)
+
+
+def _pool(
+    layers: nn.Module, rows: Callable[[Tensor], Tensor], counts: Tensor, first: int
+) -> tuple[Tensor, Tensor]:
+    """`_winners` of the groups whose rows start at number `first`."""
+    groups, k = counts.shape
+    number = torch.arange(first, first + groups * k, device=counts.device)
+    if counts.all():
+        values = layers(rows(number))
+    else:
+        place = (counts.flatten().cumsum(0) - 1).view(groups, k)
+        place = torch.where(counts, place, place[:, :1])
+        values = layers(rows(number[counts.flatten()])).index_select(0, place.flatten())
+    pooled = values.unflatten(0, (groups, k)).max(dim=1)
+    return pooled.values, pooled.indices + number[::k, None]
