@@ -17,7 +17,7 @@ _FINGER = 0.0584  # z of the finger joints
 # (half extent along x, inner |y|, outer |y|, rear z, front z); fingers open at |y| = 0.04. The
 # finger's slanted middle is taken at its bounding box.
 _BOXES = (
-    (0.0315, 0.0, 0.102, -0.026, 0.066),  # hand body
+    (0.0315, -1.0, 0.102, -0.026, 0.066),  # hand body
     (0.011, 0.04 + 0.011, 0.04 + 0.026, _FINGER + 0.001, _FINGER + 0.021),  # mount
     (0.011, 0.04 + 0.0024, 0.04 + 0.0112, _FINGER + 0.0003, _FINGER + 0.0041),  # sledge
     (0.00875, 0.04 + 0.007, 0.04 + 0.0249, _FINGER + 0.0167, _FINGER + 0.0400),  # slanted middle
@@ -59,12 +59,13 @@ def _coordinate(cloud: NDArray, poses: NDArray, axis: int) -> NDArray:
     return column @ cloud - (column * poses[:, :3, 3]).sum(1, keepdims=True)
 
 
-def pad_rays(poses: NDArray, *, per_axis: int = 5) -> tuple[NDArray, NDArray]:
+def pad_rays(poses: NDArray, *, per_axis: int = 7) -> tuple[NDArray, NDArray]:
     """Rays from the open pads' faces towards each other: origins and directions (B, 2, R, 3).
 
-    Side 0 is the finger at +y. R = per_axis**2 rays, each in the middle of its share of the face.
+    Side 0 is the finger at +y. R = per_axis**2 rays on a grid that reaches the face's edges,
+    where an object that curves towards the hand is met first.
     """
-    steps = (np.arange(per_axis) + 0.5) / per_axis * 2 - 1
+    steps = np.linspace(-0.98, 0.98, per_axis)
     x, z = np.meshgrid(steps * PAD_HALF[0], steps * PAD_HALF[1] + PAD_CENTRE, indexing="ij")
     side = np.array((1.0, -1.0))[:, None]
     y = np.broadcast_to(side * MAX_OPENING / 2, (2, per_axis**2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -61,9 +60,15 @@ def _tidy(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
     mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
-    if len(mesh.faces) and (not mesh.is_winding_consistent or mesh.volume < 0):
-        trimesh.repair.fix_normals(mesh, multibody=True)
+    if len(mesh.faces) and (not mesh.is_winding_consistent or _signed_volume(mesh) < 0):
+        with np.errstate(invalid="ignore", divide="ignore"):  # a flat mesh is refused later, by name
+            trimesh.repair.fix_normals(mesh, multibody=True)
     return mesh
+
+
+def _signed_volume(mesh: trimesh.Trimesh) -> float:
+    """Cubic metres enclosed; negative where the normals point inwards, zero for what is flat."""
+    return float(np.linalg.det(np.asarray(mesh.triangles, np.float64)).sum() / 6)
 
 
 def _check_size(path: Path, extents: Points, scale: float) -> None:
@@ -85,7 +90,7 @@ def convex_parts(vertices: Points, faces: NDArray[np.int64], *, concavity: float
     """Convex vertex clouds of at most 64 vertices that together stand for the mesh."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     try:
-        filled = mesh.volume / ConvexHull(vertices).volume if mesh.is_watertight else 0.0
+        filled = _signed_volume(mesh) / ConvexHull(vertices).volume if mesh.is_watertight else 0.0
     except QhullError:
         return ()
     pieces = [vertices] if filled > _NEARLY_CONVEX else _decompose(vertices, faces, concavity)
@@ -145,6 +150,5 @@ def reduce_hull(points: Points, max_vertices: int = MAX_PART_VERTICES) -> Points
             planes = ConvexHull(outer[chosen], qhull_options="QJ").equations
             chosen.append(int((outer @ planes[:, :3].T + planes[:, 3]).max(1).argmax()))
         return hull(outer[chosen])[0]
-    except QhullError as error:
-        warnings.warn(f"A convex part was dropped because it has no volume ({error}).", stacklevel=2)
+    except QhullError:  # flat to machine precision
         return None
