@@ -19,6 +19,7 @@ from torchgrasp.training.tree import pack_tree, unpack_tree
 
 _MANIFEST = "manifest.json"
 _FORMAT = 1
+_MAX_READS = 20
 _REMEDY = "restore the folder from a copy, or start a run without resume="
 
 
@@ -45,8 +46,35 @@ def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
-    """Read what `save_checkpoint` wrote, tensors on the CPU; CheckpointError says what is wrong with it."""
-    folder = find_folder(path)
+    """Read what `save_checkpoint` wrote, tensors on the CPU; CheckpointError says what is wrong with it.
+
+    A run may replace the checkpoint meanwhile: what is read is one of the two, whole.
+    """
+    error = CheckpointError(f"{path} is replaced faster than it can be read: pause the run that writes it.")
+    for _ in range(_MAX_READS):
+        folder = find_folder(path)
+        before = _identify(folder)
+        try:
+            state = _load_folder(folder)
+        except CheckpointError as damage:
+            error = damage
+            if before is not None and _identify(find_folder(path)) == before:
+                break
+            continue
+        if _identify(folder) == before:
+            return state
+    raise error
+
+
+def _identify(folder: Path) -> tuple[int, int] | None:
+    try:
+        status = folder.stat()
+    except FileNotFoundError:
+        return None
+    return status.st_ino, status.st_mtime_ns
+
+
+def _load_folder(folder: Path) -> dict[str, Any]:
     manifest = _read_manifest(folder)
     for name, expected in manifest["files"].items():
         _check_file(folder / name, expected)
@@ -63,17 +91,18 @@ def _load_entry(folder: Path, name: str) -> Any:
         tree = json.loads((folder / f"{name}.json").read_text())
         file = folder / f"{name}.safetensors"
         return unpack_tree(tree, load_file(file) if file.exists() else {})
-    except (ValueError, KeyError, OSError, SafetensorError) as error:
+    except (ValueError, KeyError, OSError, RuntimeError, SafetensorError) as error:
         raise CheckpointError(f"{folder / name} cannot be read ({error}): {_REMEDY}.") from error
 
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
     file = folder / _MANIFEST
-    if not file.is_file():
-        raise CheckpointError(f"There is no checkpoint at {folder} (no {_MANIFEST}): name a run directory's.")
     try:
         manifest = json.loads(file.read_text())
         version, _, _ = manifest["format"], dict(manifest["files"]), list(manifest["entries"])
+    except OSError as error:
+        message = f"There is no checkpoint at {folder} (no {_MANIFEST}): name a run directory's."
+        raise CheckpointError(message) from error
     except (ValueError, KeyError, TypeError) as error:
         raise CheckpointError(f"{file} is damaged ({error}): {_REMEDY}.") from error
     if version != _FORMAT:
@@ -84,12 +113,14 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def _check_file(file: Path, expected: Mapping[str, int]) -> None:
-    if not file.is_file():
-        raise CheckpointError(f"{file} is missing: {_REMEDY}.")
-    size = file.stat().st_size
-    if size != expected["bytes"]:
+    try:
+        size = file.stat().st_size
+        found = _describe(file) if size == expected["bytes"] else None
+    except OSError as error:
+        raise CheckpointError(f"{file} is missing or unreadable ({error.strerror}): {_REMEDY}.") from error
+    if found is None:
         raise CheckpointError(f"{file} has {size} bytes instead of {expected['bytes']}: {_REMEDY}.")
-    if _describe(file) != dict(expected):
+    if found != dict(expected):
         raise CheckpointError(f"{file} was changed after it was saved (its checksum differs): {_REMEDY}.")
 
 

@@ -73,15 +73,12 @@ class Progress:
 
     def _print_line(self) -> None:
         self._last = time.monotonic()
-        line = tqdm.format_meter(
-            self._done,
-            self._total,
-            self._last - self._start,
-            ncols=0,
-            prefix=self._description,
-            unit=self._unit,
-            postfix=self._rate,
-            initial=self._initial,
-            bar_format="{desc}{n_fmt}/{total_fmt} {unit}s, {elapsed} elapsed, {remaining} to go{postfix}",
+        elapsed, done = self._last - self._start, self._done - self._initial
+        to_go = tqdm.format_interval((self._total - self._done) * elapsed / done) if done else "?"
+        prefix = f"{self._description}: " if self._description else ""
+        print(
+            f"{prefix}{self._done}/{self._total} {self._unit}s, {tqdm.format_interval(elapsed)} elapsed, "
+            f"{to_go} to go{self._rate and ', ' + self._rate}",
+            file=self._stream,
+            flush=True,
         )
-        print(line, file=self._stream, flush=True)

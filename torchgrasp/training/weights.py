@@ -59,7 +59,7 @@ def load_weights(path: str | Path) -> tuple[dict[str, dict[str, Tensor]], dict[s
                 name, parameter = key.split(_SEPARATOR, 1)
                 states[name][parameter] = file.get_tensor(key)
             return states, json.loads(metadata["config"])
-    except (SafetensorError, ValueError, KeyError, OSError) as error:
+    except (SafetensorError, ValueError, KeyError, OSError, RuntimeError) as error:
         raise CheckpointError(
             f"{path} is damaged or no weights file of torchgrasp ({error}): get the file again."
         ) from error
