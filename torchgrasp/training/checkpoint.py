@@ -58,7 +58,8 @@ def load_checkpoint(path: str | Path) -> dict[str, Any]:
             state = _load_folder(folder)
         except CheckpointError as damage:
             error = damage
-            if before is not None and _identify(find_folder(path)) == before:
+            # The same folder under the same name: nobody replaced it, so the damage is real.
+            if before is not None and find_folder(path) == folder and _identify(folder) == before:
                 break
             continue
         if _identify(folder) == before:
