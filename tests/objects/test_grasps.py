@@ -1,10 +1,12 @@
 import numpy as np
 import pytest
 
+from torchgrasp.objects.build import graspable_at_rest
 from torchgrasp.objects.families import FAMILIES
 from torchgrasp.objects.grasps import sample_grasps
-from torchgrasp.objects.gripper import hand_blocked
-from torchgrasp.objects.solids import box, mass_properties
+from torchgrasp.objects.gripper import clear_of_table, hand_blocked
+from torchgrasp.objects.resting import resting_poses
+from torchgrasp.objects.solids import box, cylinder, mass_properties
 from torchgrasp.objects.surface import RayTarget, face_normals, sample_surface
 
 
@@ -103,3 +105,28 @@ def test_hand_blocked_by_hand_computed_points():
     behind = np.array([(0, 0.045, 0.07)])  # beside the finger's root, where its pad passed before
     assert not hand_blocked(behind, pose, approach=0.0)[0]
     assert hand_blocked(behind, pose, approach=0.08)[0]
+
+
+def test_clear_of_table_by_hand_computed_heights():
+    down = np.diag((1.0, -1.0, -1.0, 1.0))
+    flat = np.array(((0.0, 0, 1, 0), (0, 1, 0, 0), (-1, 0, 0, 0), (0, 0, 0, 1)))  # approach along the table
+    poses = np.stack((down, down, flat, flat, np.eye(4)))
+    # Pointing down, the pads' ends are 0.1129 below the hand; lying, half the hand's thickness counts;
+    # from below, the hand comes up from 8 cm under its rear at -0.026.
+    poses[:, 2, 3] = 0.1130, 0.1128, 0.0316, 0.0314, 0.1059
+    assert clear_of_table(poses, margin=0.0).tolist() == [True, False, True, False, False]
+
+
+def test_objects_at_rest_leave_grasps_above_the_table(item):
+    assert graspable_at_rest(item) >= 0.5
+
+
+def test_grasps_clear_of_the_table_come_first():
+    rod = cylinder(0.015, 0.15)
+    poses, _ = resting_poses(rod.parts[0])
+    clear = []
+    for resting in (None, poses):
+        rng = np.random.default_rng(0)
+        found = sample_grasps(rod.vertices, rod.faces, rod.parts, count=100, rng=rng, resting=resting)
+        clear.append(min(clear_of_table(pose @ found.poses).sum() for pose in poses))
+    assert clear[1] > clear[0] and clear[1] >= 4

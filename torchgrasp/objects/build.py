@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from torchgrasp.objects.grasps import sample_grasps
+from torchgrasp.objects.gripper import clear_of_table
 from torchgrasp.objects.model import GraspObject, content_hash
 from torchgrasp.objects.resting import resting_poses
 from torchgrasp.objects.solids import Solid, mass_properties
 
-BUILD_VERSION = 2  # part of every cache file's name: raise it when the same input gives another object
+BUILD_VERSION = 3  # part of every cache file's name: raise it when the same input gives another object
 
 
 def build_object(
@@ -27,8 +28,10 @@ def build_object(
     """
     volume, centre = mass_properties(solid.parts)
     centred = solid.moved(-centre)
-    grasps = sample_grasps(centred.vertices, centred.faces, centred.parts, count=num_grasps, rng=rng)
     poses, probability = resting_poses(np.concatenate(centred.parts))
+    grasps = sample_grasps(
+        centred.vertices, centred.faces, centred.parts, count=num_grasps, rng=rng, resting=poses
+    )
     arrays = {
         "vertices": centred.vertices.astype(np.float32),
         "faces": centred.faces.astype(np.int32),
@@ -48,3 +51,9 @@ def build_object(
         content_hash=content_hash((*arrays.values(), *parts)),
         **arrays,
     )
+
+
+def graspable_at_rest(item: GraspObject, *, min_grasps: int = 8) -> float:
+    """The probability of the resting poses that leave at least `min_grasps` grasps clear of the table."""
+    clear = [clear_of_table(pose @ item.grasps).sum() for pose in item.resting_poses]
+    return float(item.resting_probability[np.asarray(clear) >= min_grasps].sum())

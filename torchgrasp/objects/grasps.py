@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchgrasp.geometry import gripper_control_points
-from torchgrasp.objects.gripper import MAX_OPENING, PAD_CENTRE, hand_blocked, pad_rays
+from torchgrasp.objects.gripper import MAX_OPENING, PAD_CENTRE, clear_of_table, hand_blocked, pad_rays
 from torchgrasp.objects.solids import hull
 from torchgrasp.objects.surface import RayTarget, depth_in_parts, face_normals, sample_surface, thin
 
@@ -49,12 +49,14 @@ def sample_grasps(
     *,
     count: int,
     rng: np.random.Generator,
+    resting: Array | None = None,
     rounds: int = 6,
 ) -> GraspCandidates:
     """At most `count` diverse grasps of an object whose centre of mass is the origin.
 
     Every grasp comes with its half turn about z (the hand is symmetric), next to it in the order.
-    Fewer come back where the shape offers fewer in `rounds` tries; none for what does not fit.
+    Fewer come back where the shape offers fewer in `rounds` tries; none for what does not fit. With
+    `resting` poses (K, 4, 4), half of the places go first to grasps clear of the table in those.
     """
     target = RayTarget(vertices, faces)
     dense = _clearance_points(vertices, faces, parts, rng)
@@ -67,7 +69,8 @@ def sample_grasps(
             break
     poses = np.concatenate([each.poses for each in found])
     pool = GraspCandidates(poses, np.concatenate([each.quality for each in found]))
-    return _with_half_turns(pool.take(_spread(pool, unique)), count)
+    at_rest = np.empty((0, 4, 4)) if resting is None else resting
+    return _with_half_turns(pool.take(_spread(pool, unique, at_rest)), count)
 
 
 def _clearance_points(vertices: Array, faces: NDArray, parts: Sequence, rng: np.random.Generator) -> Array:
@@ -156,22 +159,37 @@ def _quality(poses: Array, coverage: Array, tilt: Array) -> Array:
     return 0.4 * coverage + 0.3 * (1 - tilt / MAX_TILT) + 0.3 * near
 
 
-def _spread(pool: GraspCandidates, count: int) -> NDArray[np.int64]:
+def _spread(pool: GraspCandidates, count: int, resting: Array) -> NDArray[np.int64]:
     """Indices of at most `count` far-apart candidates, better ones first where equally far.
+
+    Up to half of them are chosen for being clear of the table, in equal shares of the resting poses:
+    a rod on its side leaves one grasp in twenty, and a policy has to learn those.
+    """
+    points = gripper_control_points().numpy().astype(np.float64)
+    places = np.einsum("bij,pj->bpi", pool.poses[:, :3, :3], points) + pool.poses[:, None, :3, 3]
+    places = places.reshape(len(places), 3 * len(points))
+    chosen: list[int] = []
+    for T_world_object in resting:
+        clear = np.flatnonzero(clear_of_table(T_world_object @ pool.poses))
+        _choose_far(chosen, clear, places, pool.quality, count // (2 * len(resting)))
+    _choose_far(chosen, np.arange(len(places)), places, pool.quality, count - len(chosen))
+    return np.asarray(chosen, np.int64)
+
+
+def _choose_far(chosen: list[int], among: NDArray, places: Array, quality: Array, count: int) -> None:
+    """Append to `chosen` at most `count` indices of `among`, each far from all those chosen before.
 
     The distance is that of the gripper's control points (Eq. 2), which weighs turns against moves.
     """
-    if len(pool.poses) <= count:
-        return np.arange(len(pool.poses))
-    points = gripper_control_points().numpy().astype(np.float64)
-    places = np.einsum("bij,pj->bpi", pool.poses[:, :3, :3], points) + pool.poses[:, None, :3, 3]
-    places = places.reshape(len(places), -1)
-    chosen = [int(pool.quality.argmax())]
-    nearest = np.full(len(places), np.inf)
-    for _ in range(count - 1):
-        nearest = np.minimum(nearest, ((places - places[chosen[-1]]) ** 2).sum(1))
-        chosen.append(int((nearest * (0.2 + pool.quality) ** 2).argmax()))
-    return np.asarray(chosen)
+    nearest = np.full(len(among), 1.0)
+    for index in chosen:
+        nearest = np.minimum(nearest, ((places[among] - places[index]) ** 2).sum(1))
+    for _ in range(count):
+        score = nearest * (0.2 + quality[among]) ** 2
+        if not len(among) or score.max() == 0.0:
+            break
+        chosen.append(int(among[score.argmax()]))
+        nearest = np.minimum(nearest, ((places[among] - places[chosen[-1]]) ** 2).sum(1))
 
 
 def _with_half_turns(grasps: GraspCandidates, count: int) -> GraspCandidates:

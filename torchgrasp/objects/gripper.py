@@ -53,6 +53,24 @@ def hand_blocked(
     return blocked
 
 
+def clear_of_table(
+    T_world_ee: NDArray, *, approach: float = 0.08, margin: float = 0.005
+) -> NDArray[np.bool_]:
+    """Whether the open hand stays `margin` metres above z = 0 at the grasp and on its way, (B,).
+
+    Args:
+        T_world_ee: (B, 4, 4) grasps of an object at rest on the table z = 0.
+        approach: metres of straight approach.
+        margin: metres.
+    """
+    x, y, z = (T_world_ee[:, 2, axis] for axis in range(3))
+    lowest = [
+        -half_x * np.abs(x) - outer * np.abs(y) + np.minimum(z * (rear - approach), z * front)
+        for half_x, _, outer, rear, front in _BOXES
+    ]
+    return T_world_ee[:, 2, 3] + np.min(lowest, axis=0) > margin
+
+
 def _coordinate(cloud: NDArray, poses: NDArray, axis: int) -> NDArray:
     """One coordinate in the ee frame, (B, N), of a (3, N) cloud."""
     column = poses[:, :3, axis]

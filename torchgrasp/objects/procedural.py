@@ -9,21 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.objects.build import BUILD_VERSION, build_object
+from torchgrasp.objects.build import BUILD_VERSION, build_object, graspable_at_rest
 from torchgrasp.objects.cache import cache_key
 from torchgrasp.objects.families import FAMILIES, HELD_OUT, TRAINED
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, ObjectSet, Split
 
 _DEFAULT_SIZE: dict[Split, int] = {"train": 320, "val": 40, "test": 80}
-_ATTEMPTS = 10
+_ATTEMPTS = 20
+_GRASPABLE = 0.5  # probability of resting so that the table leaves grasps
 
 
 class ProceduralObjects(ObjectSet):
     """Objects whose sizes are drawn from ``(seed, split, family, index)``: splits share no object.
 
     The families take turns, so that a longer set begins with the shorter one's objects. Two families
-    (hammer, dumbbell) occur in the test split only. A draw with fewer than 100 grasps is drawn again.
+    (hammer, dumbbell) occur in the test split only. A draw with fewer than 100 grasps, or none on the
+    table in most of its resting poses, is drawn again.
 
     Args:
         split: ``train``, ``val`` or ``test``.
@@ -90,10 +92,10 @@ class ProceduralObjects(ObjectSet):
                 num_grasps=self.num_grasps,
                 rng=rng,
             )
-            if len(built.grasps) >= MIN_GRASPS:
+            if len(built.grasps) >= MIN_GRASPS and graspable_at_rest(built) >= _GRASPABLE:
                 return built
         raise ObjectError(
-            f"{self._names[index]} found no shape with {MIN_GRASPS} grasps in {_ATTEMPTS} draws:"
+            f"{self._names[index]} found no shape that can be grasped in {_ATTEMPTS} draws:"
             f" report it, and leave {family!r} out of families= meanwhile."
         )
 
