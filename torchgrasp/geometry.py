@@ -13,6 +13,8 @@ import torch
 from torch import Tensor
 
 ACTION_SIZE = 6
+# Released code: the largest relative pose of one step, 6 cm and 30 degrees a component.
+ACTION_BOUND = (0.06, 0.06, 0.06, math.pi / 6, math.pi / 6, math.pi / 6)
 GOAL_SIZE = 7
 
 # X_g of Eq. (2): palm twice, finger bases, finger tips, in the ee frame (released code's values).
@@ -26,7 +28,9 @@ _CONTROL_POINTS = (
 )
 
 
-def gripper_control_points(*, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> Tensor:
+def gripper_control_points(
+    *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
+) -> Tensor:
     """X_g of Eq. (2), (6, 3) in metres, ee frame: palm twice, finger bases, finger tips."""
     return torch.tensor(_CONTROL_POINTS, dtype=dtype, device=device)
 

@@ -10,7 +10,8 @@ from torchrl.data import Bounded
 from torchrl.objectives import SoftUpdate, TD3Loss
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules import ACTION_BOUND, GraspActor, GraspCritic, PointNet, PointNet2
+from torchgrasp.geometry import ACTION_BOUND
+from torchgrasp.modules import GraspActor, GraspCritic, PointNet, PointNet2
 
 SMALL = partial(PointNet, out_features=16, hidden=(8, 16))
 

@@ -8,7 +8,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules import ACTION_BOUND, DecayingUniformNoise
+from torchgrasp.geometry import ACTION_BOUND
+from torchgrasp.modules import DecayingUniformNoise
 
 
 def _noisy(noise, action=None, kind=ExplorationType.RANDOM):
@@ -39,21 +40,28 @@ def test_actions_stay_within_bounds():
     assert (_noisy(DecayingUniformNoise(100), bound.expand(100, 6)) <= bound).all()
 
 
-def test_seed_and_state_dict():
-    first, second = DecayingUniformNoise(100, seed=3), DecayingUniformNoise(100, seed=4)
-    assert not torch.equal(_noisy(first), _noisy(second))
+def test_the_seed_decides_the_draws_and_the_state_dict_carries_the_range():
+    first, second = DecayingUniformNoise(100, seed=3), DecayingUniformNoise(100, seed=3)
+    other = DecayingUniformNoise(100, seed=4)
+    drawn = _noisy(first)
+    assert torch.equal(drawn, _noisy(second))
+    assert not torch.equal(drawn, _noisy(other))
     first.step(40)
     second.load_state_dict(first.state_dict())
-    assert torch.equal(_noisy(first), _noisy(second))
-    first.set_seed(9)
-    second.set_seed(9)
-    assert torch.equal(_noisy(first), _noisy(second))
+    assert torch.equal(second.half_range, first.half_range)
 
 
-def test_counter_travels_with_the_weights_and_the_generator_does_not():
-    carried = TensorDict.from_module(DecayingUniformNoise(100))
-    assert "steps" in carried
-    assert all(value.dtype != torch.uint8 for value in carried.values())
+def test_draws_belong_to_the_moment_whatever_stands_beside_it():
+    noise = DecayingUniformNoise(100)
+    moment = {"world": torch.arange(4)[:, None], "episode": torch.ones(4, 1, dtype=torch.int64)}
+    td = TensorDict({**moment, "time_left": torch.full((4, 1), 0.5), "action": torch.zeros(4, 6)}, [4])
+    with set_exploration_type(ExplorationType.RANDOM):
+        together, alone = noise(td.clone())["action"], noise(td[2:3].clone())["action"]
+    assert torch.equal(together[2:3], alone)
+
+
+def test_counter_travels_with_the_weights():
+    assert "steps" in TensorDict.from_module(DecayingUniformNoise(100))
 
 
 def test_other_keys_and_sizes():

@@ -218,6 +218,7 @@ def _summarise(shards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "successes": successes,
         "success_rate": successes / max(len(records), 1),
         "rows": sum(record["rows"] for record in records),
+        "successful_steps": sum(record["rows"] for record in records if record["success"]),
         "bytes": sum(sum(shard["files"].values()) for shard in shards),
         "objects": dict(sorted(objects.items())),
         "seeds": sorted({record["seed"] for record in records}),

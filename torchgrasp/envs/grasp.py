@@ -15,14 +15,12 @@ from torchrl.envs import EnvBase
 from torchgrasp import keys
 from torchgrasp.envs.scene import Scene, SceneSampler, StartPoses
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_SIZE, action_to_pose
+from torchgrasp.geometry import ACTION_BOUND, ACTION_SIZE, action_to_pose
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.camera import RaycastCamera
 from torchgrasp.sim.world import Physics
 from torchgrasp.sim.worlds import Worlds
 
-# Released code: the largest relative pose of one step, metres and radians a component.
-ACTION_BOUND = (0.06, 0.06, 0.06, np.pi / 6, np.pi / 6, np.pi / 6)
 # Reference: lifted means at least 8 cm higher.
 LIFTED = 0.08
 _FALLEN = -0.10

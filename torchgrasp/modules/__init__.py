@@ -3,6 +3,5 @@
 from torchgrasp.modules.actor import GraspActor as GraspActor
 from torchgrasp.modules.critic import GraspCritic as GraspCritic
 from torchgrasp.modules.exploration import DecayingUniformNoise as DecayingUniformNoise
-from torchgrasp.modules.heads import ACTION_BOUND as ACTION_BOUND
 from torchgrasp.modules.pointnet import PointNet as PointNet
 from torchgrasp.modules.pointnet2 import PointNet2 as PointNet2

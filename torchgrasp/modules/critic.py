@@ -12,7 +12,8 @@ from torch import Tensor, nn
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules.heads import ACTION_BOUND, Encoder, GoalHead, bound_tensor, build_encoder, head
+from torchgrasp.geometry import ACTION_BOUND
+from torchgrasp.modules.heads import Encoder, GoalHead, bound_tensor, build_encoder, head
 
 
 class GraspCritic(TensorDictModule):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
@@ -14,7 +15,9 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules.heads import ACTION_BOUND, bound_tensor
+from torchgrasp.geometry import ACTION_BOUND
+from torchgrasp.modules.heads import bound_tensor
+from torchgrasp.randomness import MomentGenerators
 
 # Sec. 6.4: 3 cm and 8 degrees, decaying to 0.5 cm and 1 degree.
 NOISE_START = (0.03,) * 3 + (math.radians(8),) * 3
@@ -28,16 +31,16 @@ class DecayingUniformNoise(TensorDictModuleBase):
     `step`; actions stay within their bounds. Euler angles are components like the
     others. It follows the actor: ``TensorDictSequential(actor, noise)``.
 
-    The counter is a buffer, so it travels to collectors with the weights; the generator's state is
-    in the state_dict alone, so that it does not. Copies of one module draw the same noise: give
-    each worker its own `seed`, here or by `set_seed`.
+    Draws belong to a moment of an episode where the tensordict names one (`MomentGenerators`), so
+    that neither the number of workers nor a restart changes them. The counter is a buffer: it travels
+    with the weights.
 
     Args:
         annealing_steps: steps until the range is ±`end`; 0 starts there.
         start: half range of each component at first (m, rad).
         end: the same after `annealing_steps`.
         action_bound: largest magnitude of each component.
-        seed: of the module's own generator.
+        seed: of the draws.
         action_key: what is changed.
 
     Example:
@@ -83,7 +86,7 @@ class DecayingUniformNoise(TensorDictModuleBase):
         self.register_buffer("end", torch.tensor(tuple(end)))
         self.register_buffer("bound", bound_tensor(action_bound))
         self.register_buffer("steps", torch.zeros((), dtype=torch.long))
-        self._generator = torch.Generator().manual_seed(seed)
+        self._generators = MomentGenerators(seed)
 
     @property
     def half_range(self) -> Tensor:
@@ -95,25 +98,14 @@ class DecayingUniformNoise(TensorDictModuleBase):
         """Count `frames` more environment steps towards the final range."""
         self.steps += frames
 
-    def set_seed(self, seed: int) -> None:
-        """Restart the noise from `seed`; the range stays."""
-        self._generator.manual_seed(seed)
-
     @dispatch()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Change the action in place of the one in `tensordict`."""
         if exploration_type() is ExplorationType.RANDOM:
             action = tensordict.get(self.action_key)
-            # Drawn on the CPU so that a seed gives the same noise on every device.
-            unit = 2 * torch.rand(action.shape, generator=self._generator) - 1
+            size = action.shape[-1]
+            draws = np.array([rng.uniform(-1, 1, size) for rng in self._generators(tensordict)])
+            unit = torch.from_numpy(draws).reshape(action.shape)
             noisy = action + unit.to(action) * self.half_range
             tensordict.set(self.action_key, noisy.clamp(-self.bound, self.bound))
         return tensordict
-
-    def get_extra_state(self) -> Tensor:
-        """The generator's state, for the state_dict."""
-        return self._generator.get_state()
-
-    def set_extra_state(self, state: Tensor) -> None:
-        """Restore what get_extra_state returned."""
-        self._generator.set_state(state.cpu())

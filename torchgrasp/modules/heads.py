@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import torch
@@ -11,9 +10,6 @@ from torch import Tensor, nn
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import GOAL_SIZE
 from torchgrasp.modules.layers import mlp, shrink_last_layer
-
-# Released code: 6 cm and 30 degrees a step and component.
-ACTION_BOUND = (0.06, 0.06, 0.06, math.pi / 6, math.pi / 6, math.pi / 6)
 
 # An encoder, or what makes one for a number of input channels (in YAML: `_partial_: true`).
 Encoder = nn.Module | Callable[[int], nn.Module]

@@ -23,6 +23,7 @@ class PointNet(nn.Module):
         in_channels: C, at least 3.
         out_features: F.
         hidden: widths of the shared layers; the last is the width that the max pools.
+        width: factor of `hidden` and `out_features`.
         scale: length in metres that becomes 1: about the size of an object.
 
     Example:
@@ -37,11 +38,15 @@ class PointNet(nn.Module):
         out_features: int = 256,
         *,
         hidden: Sequence[int] = (64, 128, 256),
+        width: float = 1.0,
         scale: float = 0.1,
     ) -> None:
         super().__init__()
         check_channels(in_channels)
         check_range("scale", scale, 0.0, float("inf"), open_low=True)
+        check_range("model.width", width, 0.0, float("inf"), open_low=True)
+        hidden = [max(1, round(width * size)) for size in hidden]
+        out_features = max(1, round(width * out_features))
         self.in_channels = in_channels
         self.out_features = out_features
         self.scale = scale

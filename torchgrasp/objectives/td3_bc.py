@@ -18,7 +18,7 @@ from torchrl.objectives import ValueEstimators
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError, check_range
-from torchgrasp.modules import ACTION_BOUND
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import functional
 from torchgrasp.objectives.base import Distance, GraspLoss, unique_keys
 from torchgrasp.objectives.side_by_side import SideBySide

@@ -2,6 +2,7 @@
 
 from torchgrasp.planning.behaviour import Disturb as Disturb
 from torchgrasp.planning.behaviour import ExpertStart as ExpertStart
+from torchgrasp.planning.behaviour import RandomAction as RandomAction
 from torchgrasp.planning.expert import ExpertPolicy as ExpertPolicy
 from torchgrasp.planning.funnel import Funnel as Funnel
 from torchgrasp.planning.planner import GraspPlanner as GraspPlanner

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from tensordict import TensorDictBase
@@ -9,6 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
 from torchgrasp.errors import check_range
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.randomness import MomentGenerators
 
 
@@ -97,3 +100,25 @@ class ExpertStart(TensorDictModuleBase):
         """How many steps the expert acts in this episode."""
         rng = np.random.default_rng((self.seed, world, episode))
         return int(rng.integers(1, self.max_steps + 1)) if rng.random() < self.probability else 0
+
+
+class RandomAction(TensorDictModuleBase):
+    """Uniform actions within their bounds: what chance alone achieves.
+
+    Args:
+        action_bound: largest magnitude of each component, metres and radians.
+        seed: of the draws.
+    """
+
+    def __init__(self, *, action_bound: Sequence[float] = ACTION_BOUND, seed: int = 0) -> None:
+        super().__init__()
+        self.in_keys = [keys.WORLD, keys.EPISODE, keys.TIME_LEFT]
+        self.out_keys = [keys.ACTION]
+        self._bound = np.array(action_bound)
+        self._generators = MomentGenerators(seed)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ACTION (*, 6)."""
+        draws = np.array([rng.uniform(-self._bound, self._bound) for rng in self._generators(tensordict)])
+        action = torch.from_numpy(draws.astype(np.float32)).reshape(*tensordict.batch_size, -1)
+        return tensordict.set(keys.ACTION, action.to(tensordict.device))

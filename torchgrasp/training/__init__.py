@@ -4,6 +4,8 @@ from torchgrasp.training.checkpoint import has_checkpoint as has_checkpoint
 from torchgrasp.training.checkpoint import load_checkpoint as load_checkpoint
 from torchgrasp.training.checkpoint import save_checkpoint as save_checkpoint
 from torchgrasp.training.cli import one_line_errors as one_line_errors
+from torchgrasp.training.episodes import Episode as Episode
+from torchgrasp.training.episodes import EpisodePool as EpisodePool
 from torchgrasp.training.metrics import MetricsLogger as MetricsLogger
 from torchgrasp.training.metrics import SuccessTable as SuccessTable
 from torchgrasp.training.metrics import wilson_interval as wilson_interval

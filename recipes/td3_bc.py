@@ -1,0 +1,151 @@
+"""Goal-auxiliary actor-critic: demonstrations, imitation, reinforcement with DAgger labels, the proof.
+
+python recipes/td3_bc.py                      # minutes on two cores (experiment=laptop)
+python recipes/td3_bc.py experiment=paper     # Sec. 6.4 to the letter
+python recipes/td3_bc.py resume=outputs/td3_bc/<date_time>
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import collect
+import common
+import hydra
+from learner import Learner
+from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictSequential
+
+from torchgrasp.planning import ExpertPolicy
+from torchgrasp.training import (
+    EpisodePool,
+    MetricsLogger,
+    Progress,
+    one_line_errors,
+    save_weights,
+    write_summary,
+)
+
+
+def train(cfg: DictConfig) -> dict:
+    """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
+    cfg, run_dir = common.open_run(cfg, "td3_bc")
+    learner = Learner(cfg)
+    with common.make_pool(cfg) as pool:
+        common.prepare_objects(cfg)
+        path = Path(cfg.demonstrations.path or run_dir / "demonstrations")
+        card = collect.collect(cfg, pool, path)
+        resumed = learner.resume(run_dir)
+        if not resumed:
+            learner.load_demonstrations(path)
+        logger = MetricsLogger(
+            run_dir,
+            resume_step=learner.gradient_steps + 1 if resumed else None,
+            tensorboard=cfg.logger.tensorboard,
+        )
+        pretrain(cfg, learner, logger, run_dir)
+        if "bc" not in learner.results:
+            learner.results["bc"] = common.evaluate(cfg, pool, learner.actor, "imitation alone").summary()
+            learner.checkpoint(run_dir)
+        reinforce(cfg, learner, logger, pool, run_dir)
+        save_weights(
+            run_dir / "weights.safetensors",
+            {"actor": learner.actor, "critic": learner.critic},
+            OmegaConf.to_container(cfg, resolve=True),  # pyright: ignore[reportArgumentType]
+        )
+        return conclude(cfg, learner, logger, pool, run_dir, card)
+
+
+def pretrain(cfg: DictConfig, learner: Learner, logger: MetricsLogger, run_dir: Path) -> None:
+    """Imitation and goal prediction on D_expert alone (Sec. 3.3)."""
+    progress = Progress(
+        cfg.pretrain.steps, initial=learner.pretrain_steps, description="imitation", unit="update"
+    )
+    while learner.pretrain_steps < cfg.pretrain.steps:
+        metrics = learner.imitate(learner.buffer.sample(cfg.pretrain.batch_size).to(cfg.device))
+        if learner.pretrain_steps % 50 == 0 or learner.pretrain_steps == cfg.pretrain.steps:
+            logger.log(learner.gradient_steps, metrics)
+        if learner.pretrain_steps % cfg.checkpoint.steps == 0:
+            learner.checkpoint(run_dir)
+        progress.update()
+    progress.close()
+
+
+def reinforce(
+    cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
+) -> None:
+    """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4)."""
+    rounds = -(-cfg.collector.episodes // cfg.env.num_envs)
+    labels = ExpertPolicy(common.make_objects(cfg, "train"), horizon=cfg.env.horizon, execute=False)
+    policy = TensorDictSequential(labels, learner.actor, learner.noise, learner.expert_start)
+    progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
+    while learner.env_steps < cfg.total_env_steps:
+        start = common.ONLINE_EPISODES + learner.iterations * rounds
+        learner.actor.eval()
+        batches = pool.run("train", policy, range(start, start + rounds), explore=True)
+        episodes = [episode for batch in batches for episode in batch]
+        learner.actor.train()
+        num_steps = sum(len(episode.steps) for episode in episodes)
+        for episode in episodes:
+            learner.buffer.extend(episode.steps[None], source="online")
+        learner.noise.step(num_steps)
+        learner.env_steps += num_steps
+        learner.iterations += 1
+        success_rate = learner.note_successes([episode.success for episode in episodes])
+
+        metrics: dict[str, float] = {}
+        for update in range(1, cfg.online.updates + 1):
+            batch = learner.buffer.sample().to(cfg.device)
+            metrics |= learner.update_critic(batch)
+            if update % cfg.online.policy_delay == 0:
+                metrics |= learner.update_actor(batch)
+        learner.set_rates(learner.env_steps / cfg.total_env_steps)
+
+        logger.log(
+            learner.gradient_steps,
+            {**metrics, "env_steps": learner.env_steps, "train/success_rate": success_rate},
+        )
+        if learner.iterations % cfg.checkpoint.iterations == 0:
+            learner.checkpoint(run_dir)
+        progress.update(num_steps, success_rate=success_rate)
+    learner.checkpoint(run_dir)
+    progress.close()
+
+
+def conclude(
+    cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path, card: dict
+) -> dict:
+    """Measure the policy beside the baselines on the same unseen scenes; write and print summary.json."""
+    tables = {"policy": common.evaluate(cfg, pool, learner.actor, "policy").summary()}
+    tables["policy after imitation alone"] = learner.results["bc"]
+    for name in cfg.evaluation.baselines:
+        tables[name] = common.evaluate(cfg, pool, common.make_policy(cfg, name), name).summary()
+    logger.log(learner.gradient_steps, {"test/success_rate": tables["policy"]["success_rate"]})
+    logger.close()
+    summary = write_summary(
+        run_dir,
+        {
+            **tables["policy"],
+            "comparison": tables,
+            "demonstrations": {key: card[key] for key in ("episodes", "successes", "bytes")},
+            "wall_seconds": learner.wall_seconds,
+            "env_steps": learner.env_steps,
+            "gradient_steps": learner.gradient_steps,
+        },
+    )
+    common.print_comparison(cfg, tables, run_dir)
+    return summary
+
+
+@hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
+@one_line_errors()
+def main(cfg: DictConfig) -> None:
+    """Train as configured."""
+    started = time.time()
+    train(cfg)
+    print(f"done in {(time.time() - started) / 60:.1f} minutes")
+
+
+if __name__ == "__main__":
+    main()
