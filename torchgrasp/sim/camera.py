@@ -43,6 +43,7 @@ class CameraIntrinsics:
                 f"A camera of {self.width}x{self.height} pixels sees nothing: give at least 1x1."
             )
         check_range("camera.fov", self.fov, 0.0, np.pi * 0.95, open_low=True)
+        check_range("camera.near", self.near, 0.0, np.inf)
         check_range("camera.far", self.far, self.near, np.inf, open_low=True)
 
     @property

@@ -1,0 +1,46 @@
+import numpy as np
+import pytest
+
+from torchgrasp.objects import ProceduralObjects
+from torchgrasp.sim import Physics
+from torchgrasp.sim import kinematics as kin
+from torchgrasp.sim.settle import settle
+from torchgrasp.sim.world import World
+
+OBJECTS = ProceduralObjects("train", num_objects=8, num_grasps=100)
+
+
+@pytest.mark.parametrize("index", range(8))
+def test_settled_poses_stay_still(index):
+    target = OBJECTS[index]
+    poses = settle(target, Physics())
+    assert len(poses)
+    for pose in poses[:4]:
+        start = pose.copy()
+        start[:2, 3] = 0.6, 0.3
+        world = World(Physics(), target, start, kin.READY_POSTURE)
+        for _ in range(20):  # 3 s
+            world.drive(kin.READY_POSTURE)
+        drift = world.T_base_object - start
+        assert np.abs(drift[:3, 3]).max() < 5e-3
+        assert np.abs(drift[:3, :3]).max() < 0.1
+
+
+def test_a_brick_rests_on_its_three_kinds_of_faces(brick):
+    poses = settle(brick, Physics())
+    heights = sorted(round(float(z), 4) for z in poses[:, 2, 3])
+    assert heights == pytest.approx([0.025, 0.025, 0.03, 0.03, 0.04, 0.04], abs=2e-4)
+    assert np.all(poses[:, :2, 3] == 0.0)
+
+
+def test_settled_poses_lie_on_the_table_and_differ_in_tilt(can):
+    poses = settle(can, Physics())
+    lowest = [(can.vertices @ pose[:3, :3].T + pose[:3, 3])[:, 2].min() for pose in poses]
+    assert lowest == pytest.approx(np.zeros(len(poses)), abs=2e-3)
+    up = poses[:, 2, :3]
+    angles = np.arccos(np.clip(up @ up.T, -1, 1))[np.triu_indices(len(poses), 1)]
+    assert np.all(angles >= 0.05)
+
+
+def test_settling_is_repeatable(can):
+    assert np.array_equal(settle(can, Physics()), settle(can, Physics()))

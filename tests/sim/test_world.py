@@ -1,0 +1,178 @@
+"""One world and a batch of them: drives, contact, grasping, independence."""
+
+import numpy as np
+import pytest
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.sim import CameraIntrinsics, Physics, RaycastCamera, Worlds
+from torchgrasp.sim import kinematics as kin
+from torchgrasp.sim.world import World
+
+READY = kin.READY_POSTURE
+
+
+def pose_at(x: float, y: float, z: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = (x, y, z)
+    return pose
+
+
+def hand_above(x: float, y: float, z: float) -> np.ndarray:
+    """(4, 4) hand that points down with the fingers opening along the base's y."""
+    return pose_at(x, y, z) @ np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def posture_at(T_base_ee: np.ndarray) -> np.ndarray:
+    return kin.sample_postures(T_base_ee, READY)[0]
+
+
+def make_worlds(n: int) -> Worlds:
+    return Worlds(n, physics=Physics(), camera=RaycastCamera(CameraIntrinsics(16, 16)))
+
+
+def test_the_hand_follows_a_smooth_path_within_a_millimetre(brick):
+    world = World(Physics(), brick, pose_at(0.5, 0.3, 0.04), posture_at(hand_above(0.5, -0.2, 0.4)))
+    q = world.joints[None, :7]
+    for step in range(1, 14):  # 0.1 m/s along y
+        wanted = hand_above(0.5, -0.2 + 0.015 * step, 0.4)[None]
+        q, left = kin.track_pose(q, wanted)
+        assert left[0] < 1e-5
+        world.drive(q[0])
+        reached = kin.forward_kinematics(world.joints[None, :7])
+        assert np.abs(kin.pose_error(reached, wanted)[0, :3]).max() < 1e-3
+        assert np.abs(kin.pose_error(reached, wanted)[0, 3:]).max() < 5e-3
+
+
+def test_a_step_relative_to_the_hand_is_made_within_a_millimetre(brick):
+    worlds = make_worlds(1)
+    worlds.place(0, brick, pose_at(0.5, 0.3, 0.04), posture_at(hand_above(0.5, -0.2, 0.4)))
+    for _ in range(10):
+        wanted = worlds.T_base_ee @ pose_at(0.0, 0.0, 0.015)
+        worlds.drive_to_pose(wanted, [0])
+        assert np.abs(worlds.T_base_ee[0] - wanted[0]).max() < 1e-3
+
+
+def test_no_step_turns_a_joint_faster_than_it_may(brick):
+    world = World(Physics(), brick, pose_at(0.5, 0.3, 0.04), READY)
+    target = READY.copy()
+    target[0] += 2.0
+    world.drive(target)
+    assert world.joints[0] - READY[0] <= kin.JOINT_VELOCITY[0] * 0.15 + 1e-3
+    assert world.joints[0] - READY[0] > 0.2
+
+
+def test_gripping_and_lifting_a_box_returns_its_rise(brick):
+    worlds = make_worlds(2)
+    grasp = hand_above(0.5, 0.0, 0.04 + 0.1034)
+    worlds.place(0, brick, pose_at(0.5, 0.0, 0.04), posture_at(grasp))
+    worlds.place(1, brick, pose_at(0.5, 0.3, 0.04), posture_at(grasp))  # nothing between the fingers
+    rise = worlds.close_and_lift([0, 1])
+    assert rise == pytest.approx([0.15, 0.0], abs=0.01)
+    assert worlds.T_base_object[0, 2, 3] - 0.04 == pytest.approx(rise[0], abs=1e-3)
+    assert worlds.joints[0, 7:].sum() == pytest.approx(0.06, abs=2e-3)  # the brick is 6 cm wide along y
+    assert worlds.joints[1, 7:] == pytest.approx([0, 0], abs=2e-3)
+
+
+def test_without_friction_between_the_pads_nothing_is_lifted(brick):
+    world = World(
+        Physics(friction=0.0, finger_friction=0.0),
+        brick,
+        pose_at(0.5, 0.0, 0.04),
+        posture_at(hand_above(0.5, 0.0, 0.04 + 0.1034)),
+    )
+    world.close_fingers()
+    world.lift()
+    assert world.T_base_object[2, 3] < 0.08
+
+
+def test_every_object_weighs_what_physics_says(brick, can):
+    for target in (brick, can):
+        world = World(Physics(mass=0.3), target, pose_at(0.5, 0.3, 0.5), READY)
+        body = world._target
+        assert body.mass == pytest.approx(0.3, rel=1e-5)
+    a, b, c = 0.05, 0.06, 0.08
+    body = World(Physics(mass=0.3), brick, pose_at(0.5, 0.3, 0.5), READY)._target
+    expected = sorted([0.3 / 12 * (b * b + c * c), 0.3 / 12 * (a * a + c * c), 0.3 / 12 * (a * a + b * b)])
+    assert sorted(body.inertia) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_falling_object_falls_as_gravity_says(brick):
+    physics = Physics(linear_damping=0.0)
+    world = World(physics, brick, pose_at(0.5, 0.3, 1.0), READY)
+    world.drive(READY)
+    fallen = 1.0 - world.T_base_object[2, 3]
+    assert fallen == pytest.approx(9.81 / 2 * 0.15**2, rel=0.07)  # a step of 1/120 s is first order
+
+
+def test_a_round_object_stops(ball):
+    moved = []
+    world = World(Physics(), ball, pose_at(0.5, 0.3, ball.size.max() / 2 + 0.01), READY)
+    for _ in range(40):  # 6 s
+        before = world.T_base_object[:3, 3]
+        world.drive(READY)
+        moved.append(np.abs(world.T_base_object[:3, 3] - before).max())
+    assert max(moved[:10]) > 1e-3 and moved[-1] < 1e-4
+
+
+def test_the_tables_edge_is_where_it_is_said_to_be(brick):
+    heights = []
+    for y in (0.60, 0.72):
+        world = World(Physics(), brick, pose_at(0.5, y, 0.04), READY)
+        for _ in range(5):
+            world.drive(READY)
+        heights.append(world.T_base_object[2, 3])
+    assert heights[0] == pytest.approx(0.04, abs=1e-3) and heights[1] < -0.5
+
+
+def test_an_episode_depends_on_nothing_that_was_simulated_before(brick, can):
+    def episode(worlds: Worlds, row: int) -> list[np.ndarray]:
+        worlds.place(row, brick, pose_at(0.5, 0.0, 0.05), posture_at(hand_above(0.5, 0.0, 0.16)))
+        out = []
+        for _ in range(3):
+            goal = worlds.T_base_ee.copy()
+            goal[row] = goal[row] @ pose_at(0.002, 0.03, 0.01)
+            worlds.drive_to_pose(goal, [row])
+            depth, mask = worlds.observe()
+            out += [worlds.joints[row], worlds.T_base_object[row], depth[row], mask[row]]
+        return [*out, worlds.close_and_lift([row])]
+
+    alone = make_worlds(1)
+    first = episode(alone, 0)
+    used = make_worlds(3)
+    for row in range(3):
+        used.place(row, can, pose_at(0.5, 0.1, 0.05), READY)
+    used.close_and_lift([0, 2])
+    for other in (episode(alone, 0), episode(used, 2)):
+        assert all(np.array_equal(a, b) for a, b in zip(first, other, strict=True))
+
+
+def test_worlds_that_are_not_named_stand_still(brick):
+    worlds = make_worlds(3)
+    for row in range(3):
+        worlds.place(row, brick, pose_at(0.5, 0.3, 0.04), READY)
+    before = worlds.joints
+    worlds.drive_to_pose(worlds.T_base_ee @ pose_at(0, 0, 0.02), [1])
+    worlds.drive_to_pose(worlds.T_base_ee @ pose_at(0, 0, 0.02), [])
+    moved = np.abs(worlds.joints - before).max(-1)
+    assert moved[0] == moved[2] == 0.0 and moved[1] > 1e-3
+
+
+def test_reads_are_copies(brick):
+    worlds = make_worlds(1)
+    worlds.place(0, brick, pose_at(0.5, 0.3, 0.04), READY)
+    reads = [worlds.joints, worlds.T_base_ee, worlds.T_base_object, *worlds.observe()]
+    kept = [read.copy() for read in reads]
+    worlds.drive_to_pose(worlds.T_base_ee @ pose_at(0.02, 0, 0.02), [0])
+    worlds.observe()
+    assert all(np.array_equal(a, b) for a, b in zip(reads, kept, strict=True))
+
+
+def test_worlds_need_an_object_first():
+    with pytest.raises(RuntimeError, match="place"):
+        make_worlds(2).observe()
+
+
+@pytest.mark.parametrize("name, value", [("mass", 0.0), ("friction", -1.0), ("control_period", float("nan"))])
+def test_impossible_physics_is_refused_by_name(name, value):
+    with pytest.raises(ConfigError, match=f"physics.{name}"):
+        Physics(**{name: value})

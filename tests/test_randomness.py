@@ -1,0 +1,63 @@
+import torch
+from tensordict import TensorDict
+
+from torchgrasp.randomness import MomentGenerators
+
+
+def moments(worlds, episodes, time_left) -> TensorDict:
+    n = len(worlds)
+    return TensorDict(
+        {
+            "world": torch.tensor(worlds)[:, None],
+            "episode": torch.tensor(episodes)[:, None],
+            "time_left": torch.tensor(time_left)[:, None],
+        },
+        [n],
+    )
+
+
+def draws(generators: MomentGenerators, tensordict: TensorDict) -> list[float]:
+    return [rng.random() for rng in generators(tensordict)]
+
+
+def test_a_draw_follows_from_its_moment_alone():
+    batch = moments([0, 1, 2], [5, 5, 6], [1.0, 0.5, 0.5])
+    first = draws(MomentGenerators(3), batch)
+    again = MomentGenerators(3)
+    for _ in range(4):  # what was drawn before leaves no trace
+        draws(again, moments([9], [9], [0.2]))
+    assert draws(again, batch[[2, 0]]) == [first[2], first[0]]
+
+
+def test_seed_world_episode_and_time_each_tell_draws_apart():
+    base = ([1], [2], [0.5])
+    others = [([2], [2], [0.5]), ([1], [3], [0.5]), ([1], [2], [0.4]), ([2], [1], [0.5])]
+    values = [draws(MomentGenerators(0), moments(*base))[0], draws(MomentGenerators(1), moments(*base))[0]]
+    values += [draws(MomentGenerators(0), moments(*other))[0] for other in others]
+    assert len(set(values)) == len(values)
+
+
+def test_the_steps_of_a_long_episode_differ():
+    steps = [1 - t / 300 for t in range(300)]
+    assert len(set(draws(MomentGenerators(0), moments([0] * 300, [0] * 300, steps)))) == 300
+
+
+def test_time_left_of_two_precisions_names_one_moment():
+    low = moments([0], [0], [1 / 3])
+    high = low.clone().set("time_left", torch.tensor([[1 / 3]], dtype=torch.float64))
+    assert draws(MomentGenerators(0), low) == draws(MomentGenerators(0), high)
+
+
+def test_without_a_moment_calls_and_rows_differ_and_repeat_from_the_start():
+    empty = TensorDict({}, [4])
+    generators = MomentGenerators(0)
+    values = draws(generators, empty) + draws(generators, empty)
+    assert len(set(values)) == 8
+    again = MomentGenerators(0)
+    assert draws(again, empty) + draws(again, empty) == values
+
+
+def test_a_batch_of_any_shape_has_a_generator_an_element():
+    grid = moments([0, 1, 2, 3], [0] * 4, [1.0] * 4)
+    assert draws(MomentGenerators(0), grid.reshape(2, 2)) == draws(MomentGenerators(0), grid)
+    assert draws(MomentGenerators(0), grid[1]) == draws(MomentGenerators(0), grid)[1:2]
