@@ -36,7 +36,7 @@ class StartPoses:
     Attributes:
         min_distance, max_distance: of the hand's origin from the object's centre of mass, metres.
         min_elevation: of the hand above the table as seen from the object, radians.
-        aim: radius in metres around the centre of mass at which the hand's z axis points.
+        aim: metres along each axis by which the point that the hand looks at may miss the centre of mass.
         table_x, table_y: ranges in which the object is put down, metres, base frame.
     """
 

@@ -16,6 +16,9 @@ from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.geometry import invert_pose, transform_points
 from torchgrasp.transforms.base import PointTransform, flat_batch, pad_clouds
 
+# Powers of alpha carry errors that must not add a point: 0.9**2 * 100 is 81.00000000000001 in floats.
+_ROUNDING = 1e-9
+
 
 @dataclass
 class _Union:
@@ -56,14 +59,14 @@ class AggregatePoints(PointTransform):
         n = tensordict_reset.batch_size.numel()
         if len(self._unions) != n:
             self._unions = [_Union() for _ in range(n)]
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        rows = range(n) if mask is None else mask.reshape(n, -1).any(-1).nonzero()[:, 0].tolist()
+        rows = _marked_rows(tensordict, "_reset", n)
         for row in rows:
             self._unions[row] = _Union()
-        return self._add_views(tensordict_reset, self._unions, list(rows))
+        return self._add_views(tensordict_reset, self._unions, rows)
 
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return self._add_views(next_tensordict, self._unions, list(range(len(self._unions))))
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        rows = _marked_rows(tensordict, "_step", len(self._unions))
+        return self._add_views(next_tensordict, self._unions, rows)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Aggregate a tensordict of trajectories [*, T], and its "next" where there is one."""
@@ -108,7 +111,7 @@ class AggregatePoints(PointTransform):
         return tensordict
 
     def _add_view(self, union: _Union, seen: Tensor, rng: np.random.Generator) -> None:
-        drawn = math.ceil(self.alpha**union.views * len(seen))
+        drawn = math.ceil(self.alpha**union.views * len(seen) - _ROUNDING)
         union.views += 1
         if drawn < len(seen):
             seen = seen[torch.from_numpy(rng.permutation(len(seen))[:drawn])]
@@ -120,3 +123,9 @@ class AggregatePoints(PointTransform):
 
     def _out_shapes(self, observation_spec: Composite) -> dict:
         return {keys.POINTS: ((self.max_points, 3), torch.float32), keys.NUM_POINTS: ((1,), torch.int64)}
+
+
+def _marked_rows(tensordict: TensorDictBase | None, key: str, n: int) -> list[int]:
+    """Which of n batch elements a mask in the tensordict marks; all where there is none."""
+    mask = None if tensordict is None else tensordict.get(key, None)
+    return list(range(n)) if mask is None else mask.reshape(n, -1).any(-1).nonzero()[:, 0].tolist()

@@ -40,6 +40,7 @@ class DepthToPoints(PointTransform):
         )
         self.fov = fov
         self._rays: Tensor | None = None
+        self._rays_of: tuple[int, int, torch.device] | None = None
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         depth, mask, T_base_ee, T_base_camera = (
@@ -62,11 +63,12 @@ class DepthToPoints(PointTransform):
 
     def _pixel_rays(self, height: int, width: int, device: torch.device) -> Tensor:
         """(H W, 3) directions through the pixels' centres, camera frame (OpenCV), z = 1."""
-        if self._rays is None or len(self._rays) != height * width or self._rays.device != device:
+        if self._rays is None or self._rays_of != (height, width, device):
             focal = height / 2 / math.tan(self.fov / 2)
             v = (torch.arange(height, device=device) + 0.5 - height / 2) / focal
             u = (torch.arange(width, device=device) + 0.5 - width / 2) / focal
             v, u = torch.meshgrid(v, u, indexing="ij")
+            self._rays_of = (height, width, device)
             self._rays = torch.stack((u, v, torch.ones_like(u)), dim=-1).reshape(-1, 3)
         return self._rays
 
