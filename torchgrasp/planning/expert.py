@@ -27,7 +27,13 @@ class _Pursuit:
     episode: tuple[int, int]
     T_base_object: Array
     plan: Plan
+    steps_left: int
     chosen: int = -1
+
+    def goes_on(self, episode: tuple[int, int], T_base_object: Array, steps_left: int) -> bool:
+        """Whether the plan still holds: time ran down in the same episode and the object lies still."""
+        same = self.episode == episode and steps_left <= self.steps_left
+        return same and not _has_moved(self.T_base_object, T_base_object)
 
 
 class ExpertPolicy(TensorDictModuleBase):
@@ -38,8 +44,8 @@ class ExpertPolicy(TensorDictModuleBase):
     labels. States off the expert's own path are welcome. Where there is no grasp to be had,
     HAS_EXPERT and HAS_GOAL are false, both labels are zero, and `reasons` tells why.
 
-    Batch elements are told apart by their place in the batch, and a new episode by EPISODE: use one
-    policy for one batch of worlds.
+    Batch elements are told apart by their place in the batch, and a new episode by EPISODE or by a
+    clock that went back: use one policy for one batch of worlds.
 
     Args:
         objects: the environment's objects, which OBJECT_ID counts in.
@@ -118,9 +124,10 @@ class ExpertPolicy(TensorDictModuleBase):
     ) -> Array | None:
         """The (4, 4) grasp that world i goes for, None where there is none."""
         pursuit = self._pursuits.get(i)
-        if pursuit is None or pursuit.episode != episode or _has_moved(pursuit.T_base_object, T_base_object):
+        if pursuit is None or not pursuit.goes_on(episode, T_base_object, steps_left):
             plan = self.planner.plan(self.objects[episode[0]], T_base_object, q, steps_left, self.horizon)
-            pursuit = self._pursuits[i] = _Pursuit(episode, T_base_object, plan)
+            pursuit = self._pursuits[i] = _Pursuit(episode, T_base_object, plan, steps_left)
+        pursuit.steps_left = steps_left
         if not pursuit.plan.ok:
             return None
         grasps = T_base_object @ self.objects[episode[0]].grasps[pursuit.plan.grasps.index].astype(np.float64)
