@@ -14,7 +14,7 @@ from torchrl.envs import Compose, TransformedEnv
 
 from torchgrasp import keys
 from torchgrasp.envs import GraspEnv
-from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError, check_range
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy, RandomAction
 from torchgrasp.training import EpisodePool, Progress, SuccessTable, load_weights, make_run_dir
@@ -31,10 +31,11 @@ ONLINE_EPISODES = 1_000_000
 
 def make_objects(cfg: DictConfig, split: str) -> ObjectSet:
     """The training objects as configured, or those of another split."""
-    if split == "train" or cfg.objects.get("split") is None:
-        return instantiate(cfg.objects)
-    options = {"num_objects": cfg.evaluation.num_objects} if "num_objects" in cfg.objects else {}
-    return instantiate(cfg.objects, split=cfg.evaluation.split, **options)
+    objects = cfg.objects
+    if split == "test" and objects.get("split") is not None:
+        chosen = {name: cfg.evaluation[name] for name in ("split", "num_objects") if name in objects}
+        objects = OmegaConf.merge(objects, chosen)
+    return instantiate(objects)
 
 
 def make_env(cfg: DictConfig, split: str) -> TransformedEnv:
@@ -45,6 +46,12 @@ def make_env(cfg: DictConfig, split: str) -> TransformedEnv:
     return TransformedEnv(env, Compose(*(instantiate(each) for each in cfg.transforms.values())))
 
 
+def check_config(cfg: DictConfig) -> None:
+    """Build the environments once, so that a value that cannot be is refused before anything is written."""
+    for split in ("train", "test"):
+        make_env(cfg, split).close()
+
+
 def make_pool(cfg: DictConfig) -> EpisodePool:
     """Workers that run episodes of "train" and "test"."""
     OmegaConf.resolve(cfg)
@@ -52,9 +59,9 @@ def make_pool(cfg: DictConfig) -> EpisodePool:
     return EpisodePool(envs, num_workers=cfg.collector.num_workers, keep=KEPT)
 
 
-def prepare_objects(cfg: DictConfig) -> None:
-    """Build what is not cached yet, with a progress bar."""
-    for split in ("train", "test"):
+def prepare_objects(cfg: DictConfig, *splits: str) -> None:
+    """Build what is not cached yet, with a progress bar; the objects of both splits by default."""
+    for split in splits or ("train", "test"):
         make_objects(cfg, split).prepare(workers=max(1, cfg.collector.num_workers))
 
 
@@ -67,7 +74,7 @@ def make_policy(cfg: DictConfig, name: str) -> Callable:
     path = Path(name)
     if not path.exists():
         raise ConfigError(f"policy={name!r}: give expert, random, a run directory or a weights file.")
-    states, config = load_weights(path / "weights.safetensors" if path.is_dir() else path)
+    states, config = load_weights(_weights_file(path))
     actor = instantiate(OmegaConf.create(config["model"]).actor)
     try:
         actor.load_state_dict(states["actor"])
@@ -76,6 +83,10 @@ def make_policy(cfg: DictConfig, name: str) -> Callable:
             f"The weights of {path} do not fit the network they describe: {error}"
         ) from error
     return actor.eval()
+
+
+def _weights_file(path: Path) -> Path:
+    return path / "weights.safetensors" if path.is_dir() else path
 
 
 def evaluate(cfg: DictConfig, pool: EpisodePool, policy: Callable, description: str) -> SuccessTable:
@@ -91,31 +102,65 @@ def evaluate(cfg: DictConfig, pool: EpisodePool, policy: Callable, description: 
     return table
 
 
-def open_run(cfg: DictConfig, recipe: str) -> tuple[DictConfig, Path]:
-    """The configuration and directory of a new run, or of the one that `resume` names."""
+def resumed_config(cfg: DictConfig) -> DictConfig:
+    """The configuration itself, or with `resume` that of the run resumed, changed by what was given."""
     if cfg.resume is None:
-        run_dir = make_run_dir(recipe, root=cfg.output_dir)
-        OmegaConf.save(cfg, run_dir / "config.yaml", resolve=True)
-        return cfg, run_dir
-    run_dir = Path(cfg.resume)
-    if not (run_dir / "config.yaml").is_file():
+        return cfg
+    stored = Path(cfg.resume) / "config.yaml"
+    if not stored.is_file():
         raise CheckpointError(
-            f"resume={run_dir} is no run directory (it has no config.yaml): give one of outputs/{recipe}/."
+            f"resume={cfg.resume} is no run directory (no config.yaml in it): give one of {cfg.output_dir}/."
         )
-    stored = OmegaConf.load(run_dir / "config.yaml")
-    given = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    changes = [each for each in given if not each.startswith("resume=")]
-    if any(each[0] in "~+" or each.split("=")[0] in cfg.get("groups", ()) for each in changes):
-        raise ConfigError(f"resume={run_dir} with {changes}: only plain values can be changed on the way.")
-    merged: Any = OmegaConf.merge(stored, OmegaConf.from_dotlist(changes))
-    return merged, run_dir
+    hydra = HydraConfig.get() if HydraConfig.initialized() else None
+    given = [each for each in (hydra.overrides.task if hydra else []) if not each.startswith("resume=")]
+    groups = set(hydra.runtime.choices) if hydra else set()
+    fixed = [each for each in given if each[0] in "~+" or each.split("=")[0] in groups]
+    if fixed:
+        raise ConfigError(f"resume={cfg.resume} with {fixed}: only plain values can be changed on the way.")
+    merged: Any = OmegaConf.merge(
+        OmegaConf.load(stored), OmegaConf.from_dotlist(given), {"resume": cfg.resume}
+    )
+    return merged
 
 
-def print_comparison(cfg: DictConfig, tables: dict[str, dict], run_dir: Path) -> None:
+def open_run(cfg: DictConfig, recipe: str) -> Path:
+    """The directory of the run that `resume` names, or a new one with the configuration in it."""
+    if cfg.resume is not None:
+        return Path(cfg.resume)
+    run_dir = make_run_dir(recipe, root=cfg.output_dir)
+    OmegaConf.save(cfg, run_dir / "config.yaml", resolve=True)
+    return run_dir
+
+
+def evaluation_config(cfg: DictConfig) -> DictConfig:
+    """The configuration of an evaluation: what a trained policy brings along, then what was given."""
+    if cfg.protocol != "static":
+        raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give static.")
+    check_range("episodes", cfg.episodes, 1, float("inf"))
+    path = Path(str(cfg.policy))
+    merged: Any = OmegaConf.create(OmegaConf.to_container(cfg))
+    if path.exists():
+        brought = load_weights(_weights_file(path))[1]
+        given = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+        kept = {name: brought[name] for name in ("model", "camera", "transforms")}
+        merged = OmegaConf.merge(
+            {key: value for key, value in cfg.items() if key not in kept},
+            {**kept, "env": {"horizon": brought["env"]["horizon"]}},
+            OmegaConf.from_dotlist([each for each in given if "." in each.split("=")[0]]),
+        )
+    merged.evaluation = {
+        "episodes": cfg.episodes,
+        "seed": cfg.seed,
+        "split": cfg.objects.get("split"),
+        "num_objects": cfg.objects.get("num_objects"),
+    }
+    return merged
+
+
+def print_comparison(cfg: DictConfig, tables: dict[str, dict]) -> None:
     """Success rates side by side, the policy's last."""
     where = f"{cfg.evaluation.episodes} scenes of the {cfg.evaluation.split} split"
     print(f"\nSuccess on the same {where} (95 % interval)")
     for name, table in reversed(tables.items()):
         low, high = (100 * bound for bound in table["success_ci95"])
         print(f"  {name:30s} {100 * table['success_rate']:5.1f} %  [{low:.1f}, {high:.1f}]")
-    print(f"Written to {run_dir}: summary.json, metrics.csv, weights.safetensors")

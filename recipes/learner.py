@@ -176,4 +176,5 @@ def _make_buffer(cfg: DictConfig) -> MixtureReplayBuffer:
         batch_size=cfg.replay.batch_size,
         seed=cfg.seed,
         num_points=cfg.transforms.sample.num_points,
+        transform=instantiate(cfg.replay.augment),
     )

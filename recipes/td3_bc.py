@@ -30,8 +30,10 @@ from torchgrasp.training import (
 
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
-    cfg, run_dir = common.open_run(cfg, "td3_bc")
+    cfg = common.resumed_config(cfg)
+    common.check_config(cfg)
     learner = Learner(cfg)
+    run_dir = common.open_run(cfg, "td3_bc")
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg)
         path = Path(cfg.demonstrations.path or run_dir / "demonstrations")
@@ -134,7 +136,8 @@ def conclude(
             "gradient_steps": learner.gradient_steps,
         },
     )
-    common.print_comparison(cfg, tables, run_dir)
+    common.print_comparison(cfg, tables)
+    print(f"Written to {run_dir}: summary.json, metrics.csv, weights.safetensors")
     return summary
 
 

@@ -79,8 +79,8 @@ class GraspEnv(EnvBase):
         self.first_world = first_world
         self.target_motion = target_motion
         self._base_seed = seed
-        self._worlds = Worlds(num_envs, physics=physics or Physics(), camera=camera or RaycastCamera())
-        self._scenes = SceneSampler(objects, physics=self._worlds.physics, start=start or StartPoses())
+        self.worlds = Worlds(num_envs, physics=physics or Physics(), camera=camera or RaycastCamera())
+        self._scenes = SceneSampler(objects, physics=self.worlds.physics, start=start or StartPoses())
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._episodes = np.full(num_envs, -1, dtype=np.int64)
         self._object_ids = np.zeros(num_envs, dtype=np.int64)
@@ -94,7 +94,7 @@ class GraspEnv(EnvBase):
 
     def _make_specs(self) -> None:
         n, device = self.num_envs, self.device
-        cam = self._worlds.camera.intrinsics
+        cam = self.worlds.camera.intrinsics
 
         def real(*shape: int) -> Unbounded:
             return Unbounded((n, *shape), dtype=torch.float32, device=device)
@@ -164,7 +164,7 @@ class GraspEnv(EnvBase):
         for row in self._rows(tensordict, "_reset"):
             self._episodes[row] += 1
             scene = self.scene(int(row), int(self._episodes[row]))
-            self._worlds.place(int(row), self.objects[scene.object_id], scene.T_base_object, scene.q)
+            self.worlds.place(int(row), self.objects[scene.object_id], scene.T_base_object, scene.q)
             self._object_ids[row] = scene.object_id
             self._steps[row], self._over[row] = 0, False
         return self._observation().update(self._flags(np.zeros(self.num_envs, dtype=bool)))
@@ -183,7 +183,7 @@ class GraspEnv(EnvBase):
         rows = rows[~self._over[rows]]
         bound = torch.tensor(ACTION_BOUND, dtype=torch.float64)
         change = action_to_pose(action.clamp(-bound, bound)).numpy()
-        self._worlds.drive_to_pose(self._worlds.T_base_ee @ change, rows.tolist())
+        self.worlds.drive_to_pose(self.worlds.T_base_ee @ change, rows.tolist())
         self._steps[rows] += 1
         out = self._observation()
         reward = self._finish(rows)
@@ -192,19 +192,19 @@ class GraspEnv(EnvBase):
 
     def _finish(self, rows: np.ndarray) -> Tensor:
         """End the episodes that are due among `rows`; (N, 1) reward of this step."""
-        heights = self._worlds.T_base_object[:, 2, 3]
+        heights = self.worlds.T_base_object[:, 2, 3]
         fallen = rows[heights[rows] < _FALLEN]
         last = rows[(self._steps[rows] >= self.horizon) & (heights[rows] >= _FALLEN)]
         reward = torch.zeros(self.num_envs, 1)
         if len(last):
-            rise = self._worlds.close_and_lift(last.tolist())
+            rise = self.worlds.close_and_lift(last.tolist())
             reward[last, 0] = torch.from_numpy((rise >= LIFTED).astype(np.float32))
         self._over[fallen] = self._over[last] = True
         return reward.to(self.device)
 
     def _observation(self) -> TensorDict:
         """Everything that can be seen, as fresh tensors that no later step writes to."""
-        worlds = self._worlds
+        worlds = self.worlds
         depth, mask = worlds.observe()
         T_base_ee = worlds.T_base_ee
         arrays = {

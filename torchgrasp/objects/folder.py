@@ -28,6 +28,7 @@ class FolderObjects(ObjectSet):
         path: the folder.
         split: only the files of that split, by a hash of their names (8 : 1 : 1); None for all.
         include: only these names, in this order; a test list, for example.
+        num_objects: the first so many of those; None for all.
         scale: factor from the files' unit to metres.
         licence: of the meshes; it travels with each object.
         concavity: coacd's threshold for the convex parts, 0.01 (many) to 1 (one).
@@ -45,6 +46,7 @@ class FolderObjects(ObjectSet):
         *,
         split: Split | None = None,
         include: Sequence[str] | None = None,
+        num_objects: int | None = None,
         scale: float = 1.0,
         licence: str = "unknown",
         concavity: float = 0.05,
@@ -57,6 +59,8 @@ class FolderObjects(ObjectSet):
         super().__init__(num_grasps=num_grasps, cache_dir=cache_dir, workers=workers)
         check_range("scale", scale, 0.0, float("inf"), open_low=True)
         check_range("concavity", concavity, 0.01, 1.0)
+        if num_objects is not None:
+            check_range("num_objects", num_objects, 1, float("inf"))
         check_range("min_grasps", min_grasps, 1, num_grasps)
         if split is not None and split not in SPLITS:
             raise ConfigError(f"split={split!r}: give one of {', '.join(SPLITS)}, or None for all files.")
@@ -65,7 +69,7 @@ class FolderObjects(ObjectSet):
         self.path = Path(path).expanduser()
         self.scale, self.licence, self.concavity, self.min_grasps = scale, licence, concavity, min_grasps
         files = _choose(_mesh_files(self.path), self.path, split, include)
-        self._names, self._files = tuple(files), tuple(files.values())
+        self._names, self._files = tuple(files)[:num_objects], tuple(files.values())[:num_objects]
         self._digests: dict[Path, str] = {}
         if on_error == "skip":
             self._skip_unusable()

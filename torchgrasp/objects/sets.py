@@ -98,7 +98,7 @@ class ObjectSet(Sequence[GraspObject], ABC):
         if not missing:
             return
         workers = min(workers or self.workers, len(missing))
-        with tqdm(total=len(missing), desc="building objects", disable=not progress) as bar:
+        with tqdm(total=len(missing), desc="building objects", disable=None if progress else True) as bar:
             if workers > 1:
                 try:
                     self._prepare_in_processes(missing, workers, bar)

@@ -1,0 +1,43 @@
+"""What a user may get wrong: one clear message, exit code 1, no traceback."""
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["env.horizon=0"], "env.horizon=0"),
+        (["transforms.aggregate.alpha=2"], "alpha=2"),
+        (["objects=folder", "objects.path=no/such/folder"], "no/such/folder"),
+        (["resume=no/such/run"], "no/such/run"),
+        (["env.target_motion=jumping"], "jumping"),
+        (["replay.online_fraction=1.5"], "1.5"),
+        (["loss.bc_weight=-1"], "bc_weight"),
+    ],
+)
+def test_impossible_values(run_recipe, overrides, told):
+    code, _, err = run_recipe("td3_bc", "experiment=smoke", *overrides)
+    assert code == 1, err
+    assert told in err and "Traceback" not in err
+    assert sum(line.startswith("error:") for line in err.splitlines()) == 1
+
+
+def test_misspelt_override_gets_hydras_own_message(run_recipe):
+    code, _, err = run_recipe("td3_bc", "experiment=smoke", "loss.bc_wieght=0.3")
+    assert code == 1 and "bc_wieght" in err and "Traceback" not in err
+
+
+def test_unreadable_mesh_is_named(run_recipe, tmp_path):
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    (meshes / "broken.obj").write_bytes(b"\x00\x01 this is no mesh")
+    code, _, err = run_recipe("td3_bc", "experiment=smoke", "objects=folder", f"objects.path={meshes}")
+    assert code == 1 and "broken.obj" in err and "Traceback" not in err
+
+
+def test_unknown_policy_and_truncated_weights(run_recipe, tmp_path):
+    code, _, err = run_recipe("evaluate", "policy=nobody", "episodes=1", "collector.num_workers=0")
+    assert code == 1 and "nobody" in err and "Traceback" not in err
+    (tmp_path / "weights.safetensors").write_bytes(b"half")
+    code, _, err = run_recipe("evaluate", f"policy={tmp_path}/weights.safetensors", "episodes=1")
+    assert code == 1 and "weights.safetensors" in err and "Traceback" not in err

@@ -1,0 +1,102 @@
+"""The main job end to end: what it writes, and that a run killed on the way ends like one that was not."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from conftest import command, environment
+
+REQUIRED = {
+    *("success_rate", "success_ci95", "episodes", "objects", "wall_seconds", "env_steps", "gradient_steps"),
+    *("versions", "hardware"),
+}
+
+
+def read_metrics(run_dir: Path) -> list[dict[str, str]]:
+    with (run_dir / "metrics.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture(scope="module")
+def finished_run(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("whole")
+    subprocess.run(
+        command("td3_bc", root, "experiment=smoke"),
+        check=True,
+        timeout=300,
+        env=environment(),
+        capture_output=True,
+    )
+    (run_dir,) = (root / "td3_bc").iterdir()
+    return run_dir
+
+
+def test_a_run_leaves_its_record(finished_run):
+    summary = json.loads((finished_run / "summary.json").read_text())
+    assert summary.keys() >= REQUIRED
+    assert set(summary["comparison"]) == {"policy", "policy after imitation alone", "expert", "random"}
+    assert summary["episodes"] == 4 and summary["env_steps"] >= 48 and summary["gradient_steps"] == 6 + 3 * 4
+    assert sum(each["episodes"] for each in summary["objects"].values()) == 4
+    for name in ("config.yaml", "weights.safetensors", "checkpoint", "tensorboard", "demonstrations"):
+        assert (finished_run / name).exists()
+    rows = read_metrics(finished_run)
+    assert {
+        "critic/loss_qvalue",
+        "actor/loss_actor_bc",
+        "actor/loss_actor_ddpg",
+        "train/success_rate",
+    } <= set(rows[0])
+
+
+@pytest.mark.parametrize("kill_at", [8, 15])
+def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at):
+    process = subprocess.Popen(
+        command("td3_bc", tmp_path, "experiment=smoke"),
+        env=environment(),
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    run_dir = _wait_for_step(tmp_path, kill_at, process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (run_dir / "summary.json").exists()
+    subprocess.run(
+        command("td3_bc", tmp_path, f"resume={run_dir}"),
+        check=True,
+        timeout=300,
+        env=environment(),
+        capture_output=True,
+    )
+    assert read_metrics(run_dir) == read_metrics(finished_run)
+    ours, theirs = (json.loads((each / "summary.json").read_text()) for each in (run_dir, finished_run))
+    assert ours["comparison"] == theirs["comparison"]
+    weights = [(each / "weights.safetensors").read_bytes() for each in (run_dir, finished_run)]
+    # The header tells the output directory, which differs; the tensors behind it do not.
+    assert len(weights[0]) > 1000 and weights[0][-100_000:] == weights[1][-100_000:]
+
+
+def _wait_for_step(root: Path, step: int, process: subprocess.Popen) -> Path:
+    deadline = time.monotonic() + 240
+    while time.monotonic() < deadline and process.poll() is None:
+        runs = [*root.glob("td3_bc/*/metrics.csv")]
+        if runs and any(int(row["step"]) >= step for row in read_metrics(runs[0].parent) if row["step"]):
+            return runs[0].parent
+        time.sleep(0.02)
+    raise AssertionError(f"no step {step} before the run ended with {process.poll()}")
+
+
+def test_resume_from_a_truncated_checkpoint_is_refused(finished_run, tmp_path, run_recipe):
+    import shutil
+
+    broken = tmp_path / "broken"
+    shutil.copytree(finished_run, broken)
+    largest = max((broken / "checkpoint").rglob("*.safetensors"), key=lambda path: path.stat().st_size)
+    largest.write_bytes(largest.read_bytes()[:-100])
+    code, _, err = run_recipe("td3_bc", f"resume={broken}")
+    assert code == 1 and err.count("error:") == 1 and "Traceback" not in err and largest.name in err

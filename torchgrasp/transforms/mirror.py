@@ -1,0 +1,65 @@
+"""RandomMirror: the hand's two symmetries, for four times the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+from torch import Tensor
+from torchrl.envs.transforms import Transform
+
+from torchgrasp import keys
+
+
+class RandomMirror(Transform):
+    """Reflects sampled transitions in the hand's x, y, both or neither, each drawn with a half.
+
+    The hand looks the same in the mirror of either plane, so a reflected cloud with reflected labels is
+    a state and label as good as the first. The wrist camera, 3.6 cm off the axis, is the one thing that
+    tells them apart. Use it in a replay buffer; state and next state get the same reflection.
+
+    Args:
+        point_keys: clouds (*, N, C), xyz first.
+        action_keys: relative poses (*, 6), translation and intrinsic XYZ Euler angles.
+        goal_keys: poses (*, 7), translation and quaternion xyzw.
+        generator: of the draws; torch's own without one.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> td = RandomMirror()(TensorDict({"points": torch.ones(64, 5, 3)}, [64]))
+        >>> sorted(td["points"][:, 0, 0].unique().tolist())
+        [-1.0, 1.0]
+    """
+
+    def __init__(
+        self,
+        *,
+        point_keys: Sequence[NestedKey] = (keys.POINTS, ("next", keys.POINTS)),
+        action_keys: Sequence[NestedKey] = (keys.ACTION, keys.EXPERT_ACTION),
+        goal_keys: Sequence[NestedKey] = (keys.GOAL,),
+        generator: torch.Generator | None = None,
+    ) -> None:
+        super().__init__()
+        self._points, self._actions, self._goals = tuple(point_keys), tuple(action_keys), tuple(goal_keys)
+        self._generator = generator
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Reflect every element of the batch by a draw of its own."""
+        draws = torch.randint(0, 2, (*tensordict.batch_size, 2), generator=self._generator)
+        sx, sy = (2.0 * draws - 1.0).to(tensordict.device).unbind(-1)
+        one = torch.ones_like(sx)
+        # S R S for S = diag(sx, sy, 1): a turn about an axis keeps its sense or loses it.
+        position, turn = (sx, sy, one), (sy, sx, sx * sy)
+        self._scale(tensordict, self._points, torch.stack(position, dim=-1)[..., None, :])
+        self._scale(tensordict, self._actions, torch.stack((*position, *turn), dim=-1))
+        self._scale(tensordict, self._goals, torch.stack((*position, *turn, one), dim=-1))
+        return tensordict
+
+    def _scale(self, tensordict: TensorDictBase, names: Sequence[NestedKey], signs: Tensor) -> None:
+        size = signs.shape[-1]
+        for key in names:
+            value = tensordict.get(key, None)
+            if value is not None:
+                signed = torch.cat((value[..., :size] * signs, value[..., size:]), dim=-1)
+                tensordict.set(key, signed)
