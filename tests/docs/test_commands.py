@@ -1,0 +1,35 @@
+"""Every recipe's command in README and documentation names options that exist."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+_ROOT = Path(__file__).parents[2]
+_PAGES = [_ROOT / "README.md", *sorted((_ROOT / "docs").rglob("*.md"))]
+_FENCE = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def _commands():
+    """Distinct (recipe, overrides) of all lines that run one; <placeholders> become a word."""
+    found = {}
+    for block in (block for page in _PAGES for block in _FENCE.findall(page.read_text())):
+        for line in block.splitlines():
+            words = shlex.split(re.sub(r"<[^>]*>", "word", line), comments=True)
+            if len(words) > 1 and words[1].startswith("recipes/"):
+                found[" ".join(words)] = (_ROOT / words[1], words[2:])
+    return found
+
+
+@pytest.mark.parametrize(("recipe", "overrides"), _commands().values(), ids=_commands())
+def test_command_names_a_recipe_and_options_that_exist(recipe, overrides):
+    name = re.search(r'config_name="(\w+)"', recipe.read_text())
+    assert name is not None
+    with initialize_config_dir(str(_ROOT / "conf"), version_base=None):
+        compose(name[1], overrides)
+
+
+def test_commands_are_found():
+    assert len(_commands()) >= 8
