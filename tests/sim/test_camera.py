@@ -178,7 +178,7 @@ def test_an_object_that_reaches_behind_the_near_plane_is_seen_from_inside(brick)
     assert mask[12, 12] and depth[12, 12] == pytest.approx(0.14, abs=1e-5)
 
 
-def test_the_window_misses_no_pixel(can):
+def test_the_window_misses_no_pixel(brick):
     # The same picture, once with the object's outline cut out, once with all rays cast.
     class Everywhere(RaycastCamera):
         def _window(self, target, T_object_camera):
@@ -192,8 +192,8 @@ def test_the_window_misses_no_pixel(can):
         where = hand @ pose_at(*rng.uniform((-0.4, -0.4, -0.1), (0.4, 0.4, 0.6)))
         where[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         where[:3, 0] *= np.linalg.det(where[:3, :3])
-        cut = RaycastCamera(intrinsics).observe(can, hand, where, OPEN)
-        full = Everywhere(intrinsics).observe(can, hand, where, OPEN)
+        cut = RaycastCamera(intrinsics).observe(brick, hand, where, OPEN)
+        full = Everywhere(intrinsics).observe(brick, hand, where, OPEN)
         assert np.array_equal(cut[0], full[0]) and np.array_equal(cut[1], full[1])
         seen += cut[1].any()
     assert seen > 10
