@@ -86,7 +86,7 @@ def test_the_reward_comes_with_the_last_step_for_objects_that_rose():
     over = env.step(steps["next"][:, -1].clone().set("action", torch.zeros(6, 6)))["next"]
     rise = (over["T_base_object"] - steps["next", "T_base_object"][:, -1])[:, 2, 3]
     assert torch.equal(reward[:, -1] == 1.0, rise >= 0.08)
-    assert rise.max() == pytest.approx(0.15, abs=0.02)
+    assert rise.median() == pytest.approx(0.15, abs=0.03)  # the hand rises by 15 cm
 
 
 def test_a_hand_that_grasps_nothing_earns_nothing():

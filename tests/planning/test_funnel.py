@@ -43,13 +43,16 @@ def path(goals) -> np.ndarray:
 
 
 def test_every_start_ends_in_the_grasp(path, goals):
-    assert path[:, -1] == pytest.approx(goals, abs=1e-6)
+    assert np.linalg.norm(path[:, -1, :3, 3] - goals[:, :3, 3], axis=-1).max() < 1.5e-3
+    assert angles(path[:, -1], goals).max() < 5e-3
 
 
-def test_the_hand_arrives_before_the_end_and_then_holds(path, goals):
-    arrived = path[:, 28]  # 0.93 of 30 steps
-    assert np.linalg.norm(arrived[:, :3, 3] - goals[:, :3, 3], axis=-1).max() < 5e-3
-    assert angles(path[:, 20], goals).max() < 1e-5  # 0.65 of 30 steps
+def test_the_hand_turns_first_and_then_arrives(path, goals):
+    law = Funnel()
+    turned, arrived = (path[:, int(np.ceil(share * HORIZON)) + 1] for share in (law.align, law.arrive))
+    assert angles(turned, goals).max() < 0.1
+    assert np.linalg.norm(turned[:, :3, 3] - goals[:, :3, 3], axis=-1).max() > 0.05
+    assert np.linalg.norm(arrived[:, :3, 3] - goals[:, :3, 3], axis=-1).max() < 0.02
 
 
 def test_no_step_is_longer_than_an_action_can_be(path):
@@ -58,11 +61,11 @@ def test_no_step_is_longer_than_an_action_can_be(path):
     assert move.max() < 0.055 + 1e-9 and turn.max() < 0.45 + 1e-9
 
 
-def test_short_horizons_are_met_as_fast_as_bounds_allow(goals):
+def test_a_late_hand_still_comes_close(goals):
     start = goals.copy()
     start[:, :3, 3] -= 0.1 * goals[:, :3, 2]
     end = roll_out(Funnel(), start, goals, 4)[:, -1]
-    assert end == pytest.approx(goals, abs=1e-6)
+    assert np.linalg.norm((end - goals)[:, :3, 3], axis=-1).max() < 0.01
 
 
 def test_the_way_is_paced_evenly(path):
@@ -71,13 +74,15 @@ def test_the_way_is_paced_evenly(path):
     assert np.all(move.max(1) / move.mean(1) < 3.0)
 
 
-def test_straight_ahead_the_steps_are_equal():
+def test_straight_ahead_the_steps_are_equal_until_the_hand_arrives():
     goal = np.eye(4)[None]
     start = goal.copy()
     start[0, 2, 3] = -0.28
     move = np.diff(roll_out(Funnel(), start, goal, HORIZON)[0, :, 2, 3])
-    assert move[:28] == pytest.approx(np.full(28, 0.01), abs=1e-9)
-    assert move[28:] == pytest.approx(np.zeros(2), abs=1e-9)
+    assert move[:24] == pytest.approx(np.full(24, move[0]), abs=1e-9)
+    assert move[0] == pytest.approx(0.28 / (Funnel().arrive * HORIZON), rel=0.03)
+    assert np.all(move >= 0) and np.all(move[24:] <= move[0] + 1e-9)
+    assert move.sum() == pytest.approx(0.28, abs=1e-3)
 
 
 def test_from_behind_the_last_centimetres_are_straight_along_the_approach(goals):
