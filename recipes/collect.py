@@ -37,7 +37,8 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
     wanted, have = cfg.demonstrations.steps, card.get("successful_steps", 0)
     progress = Progress(wanted, initial=min(wanted, have), description="demonstrations", unit="step")
     expert = ExpertPolicy(common.make_objects(cfg, "train"), horizon=cfg.env.horizon)
-    policy = TensorDictSequential(expert, instantiate(cfg.collector.disturb))
+    modules: list = [expert, instantiate(cfg.collector.disturb)]
+    policy = TensorDictSequential(*modules)
     for shard in count(done):
         if have >= wanted:
             break

@@ -80,7 +80,8 @@ def reinforce(
     """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4)."""
     rounds = -(-cfg.collector.episodes // cfg.env.num_envs)
     labels = ExpertPolicy(common.make_objects(cfg, "train"), horizon=cfg.env.horizon, execute=False)
-    policy = TensorDictSequential(labels, learner.actor, learner.noise, learner.expert_start)
+    modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
+    policy = TensorDictSequential(*modules)
     progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
     while learner.env_steps < cfg.total_env_steps:
         start = common.ONLINE_EPISODES + learner.iterations * rounds

@@ -1,12 +1,10 @@
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from runner import ROOT, command, environment
 
-ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "recipes"))
 
 
@@ -36,11 +34,3 @@ def run_recipe(tmp_path):
         return finished.returncode, finished.stdout, finished.stderr
 
     return run
-
-
-def command(name: str, output_dir: Path, *overrides: str) -> list[str]:
-    return [sys.executable, str(ROOT / "recipes" / f"{name}.py"), f"output_dir={output_dir}", *overrides]
-
-
-def environment() -> dict[str, str]:
-    return {**os.environ, "OMP_NUM_THREADS": "1"}

@@ -48,6 +48,9 @@ class GraspEnv(EnvBase):
         first_world: number of the first world, so that several processes share out one set of worlds.
         device: of the tensors; physics runs on the CPU.
 
+    Attributes:
+        worlds: the physics, batched.
+
     Example:
         >>> from torchgrasp.objects import ProceduralObjects
         >>> env = GraspEnv(2, objects=ProceduralObjects("train", num_objects=1, num_grasps=100), horizon=3)
@@ -74,7 +77,7 @@ class GraspEnv(EnvBase):
                 raise ConfigError(f"env.{name}={value} is out of range: give a whole number of at least 1.")
         if target_motion != "static":
             raise ConfigError(f"env.target_motion={target_motion!r} is unknown: give 'static'.")
-        super().__init__(device=device, batch_size=[num_envs])
+        super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.horizon = horizon
         self.first_world = first_world
         self.target_motion = target_motion
@@ -93,26 +96,25 @@ class GraspEnv(EnvBase):
         return self._scenes.objects
 
     def _make_specs(self) -> None:
-        n, device = self.num_envs, self.device
+        batch, device = self.batch_size, self.device
         cam = self.worlds.camera.intrinsics
 
         def real(*shape: int) -> Unbounded:
-            return Unbounded((n, *shape), dtype=torch.float32, device=device)
+            return Unbounded(batch + shape, dtype=torch.float32, device=device)
 
         def count() -> Unbounded:
-            return Unbounded((n, 1), dtype=torch.int64, device=device)
+            return Unbounded(torch.Size((*batch, 1)), dtype=torch.int64, device=device)
 
         def flag(*shape: int) -> Binary:
-            return Binary(shape=(n, *shape), dtype=torch.bool, device=device)
+            return Binary(shape=batch + shape, dtype=torch.bool, device=device)
 
-        camera = Composite(
-            {"depth": real(cam.height, cam.width), "mask": flag(cam.height, cam.width)},
-            shape=(n,),
-            device=device,
-        )
+        def share() -> Bounded:
+            return Bounded(0.0, 1.0, shape=torch.Size((*batch, 1)), dtype=torch.float32, device=device)
+
+        camera = {"depth": real(cam.height, cam.width), "mask": flag(cam.height, cam.width)}
         self.observation_spec = Composite(
             {
-                "camera": camera,
+                "camera": Composite(camera, shape=batch, device=device),
                 keys.T_BASE_EE: real(4, 4),
                 keys.T_BASE_CAMERA: real(4, 4),
                 keys.T_BASE_OBJECT: real(4, 4),
@@ -121,17 +123,16 @@ class GraspEnv(EnvBase):
                 keys.EPISODE: count(),
                 keys.JOINTS: real(9),
                 keys.JOINT_VELOCITIES: real(9),
-                keys.TIME_LEFT: Bounded(0.0, 1.0, shape=(n, 1), dtype=torch.float32, device=device),
+                keys.TIME_LEFT: share(),
             },
-            shape=(n,),
+            shape=batch,
             device=device,
         )
-        bound = torch.tensor(ACTION_BOUND, dtype=torch.float32, device=device).expand(n, ACTION_SIZE)
-        self.action_spec = Bounded(-bound, bound, shape=(n, ACTION_SIZE), dtype=torch.float32, device=device)
-        self.reward_spec = Bounded(0.0, 1.0, shape=(n, 1), dtype=torch.float32, device=device)
-        self.done_spec = Composite(
-            {name: flag(1) for name in ("done", "terminated", "truncated")}, shape=(n,), device=device
-        )
+        bound = torch.tensor(ACTION_BOUND, device=device).expand(*batch, ACTION_SIZE)
+        self.action_spec = Bounded(-bound, bound, shape=bound.shape, dtype=torch.float32, device=device)
+        self.reward_spec = share()
+        flags = {name: flag(1) for name in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(flags, shape=batch, device=device)
 
     @property
     def num_envs(self) -> int:

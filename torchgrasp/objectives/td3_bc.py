@@ -239,7 +239,8 @@ class GraspTD3BCLoss(GraspLoss):
     def _target_value(self, tensordict: TensorDictBase) -> Tensor:
         """Target y of Eq. (3), (*, 1)."""
         following = step_mdp(tensordict)
-        following.batch_size = tensordict.batch_size  # dispatch may have guessed more of them
+        # Dispatch may have guessed more batch dimensions.
+        following.auto_batch_size_(tensordict.batch_dims)
         acted = self._run(self.actor_network, self.target_actor_network_params, following)
         following.set(self._key("action"), self.smoothing(acted.get(self._key("action"))))
         values = self._target_values(following)

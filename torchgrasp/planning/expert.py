@@ -77,10 +77,9 @@ class ExpertPolicy(TensorDictModuleBase):
             keys.JOINTS,
             keys.TIME_LEFT,
         ]
-        self.out_keys = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL]
+        labels = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL]
+        self.out_keys = [*labels, keys.ACTION] if execute else labels  # pyright: ignore
         self.execute = execute
-        if execute:
-            self.out_keys = [*self.out_keys, keys.ACTION]
         self._pursuits: dict[int, _Pursuit] = {}
 
     @property

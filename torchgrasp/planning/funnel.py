@@ -26,6 +26,8 @@ class Funnel:
         tolerance: misalignment at which the way is free.
         arrive: share of the horizon after which the hand is at the grasp.
         align: share of the horizon after which the rotation is done.
+        settle: steps that what is left is spread over once its time has come, so that late labels
+            stay small and a late hand still arrives; at least 1.
         retreat: metres a remaining step that the hand may still back off: late labels stay small.
         max_translation, max_rotation: of one step, so that actions stay inside their bounds.
     """
@@ -34,8 +36,9 @@ class Funnel:
     slope: float = 2.0
     lever: float = 0.06
     tolerance: float = 0.004
-    arrive: float = 0.93
+    arrive: float = 0.85
     align: float = 0.65
+    settle: float = 2.0
     retreat: float = 0.012
     max_translation: float = 0.055
     max_rotation: float = 0.45
@@ -43,6 +46,7 @@ class Funnel:
     def __post_init__(self) -> None:
         for name in ("standoff", "slope", "lever", "tolerance", "retreat"):
             check_range(f"funnel.{name}", getattr(self, name), 0.0, np.inf)
+        check_range("funnel.settle", self.settle, 1.0, np.inf)
         for name in ("arrive", "align"):
             check_range(f"funnel.{name}", getattr(self, name), 0.0, 1.0, open_low=True)
 
@@ -64,8 +68,8 @@ class Funnel:
         angle = np.linalg.norm(turn, axis=-1)
 
         late = steps_left - 1
-        steps = np.maximum(1.0, steps_left - np.floor((1 - self.arrive) * horizon))
-        steps_turning = np.maximum(1.0, steps_left - np.floor((1 - self.align) * horizon))
+        steps = np.maximum(self.settle, steps_left - np.floor((1 - self.arrive) * horizon))
+        steps_turning = np.maximum(self.settle, steps_left - np.floor((1 - self.align) * horizon))
         position = self._move(position, angle, steps, late)
         share = np.minimum(1.0 / steps_turning, self.max_rotation / np.maximum(angle, 1e-9))
         rotation = Rotation.from_rotvec(turn * (1 - share)[:, None]).as_matrix()

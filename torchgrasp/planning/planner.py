@@ -71,7 +71,7 @@ class GraspPlanner:
     """
 
     funnel: Funnel = field(default_factory=Funnel)
-    quality_weight: float = 0.03
+    quality_weight: float = 0.08
     max_reached: int = 48
     num_rollouts: int = 4
     unproved: float = 0.03
@@ -112,7 +112,8 @@ class GraspPlanner:
         if not (free > 0).any():
             return Plan(PlanStatus.BLOCKED, empty)
         toll = np.array([self.blocked, self.unproved, 0.0])[free + 1]
-        return Plan(PlanStatus.OK, reached, toll - self.quality_weight * target.grasp_quality[reached.index])
+        quality = target.grasp_quality[reached.index].astype(np.float64)
+        return Plan(PlanStatus.OK, reached, toll - self.quality_weight * quality)
 
     def _prove(
         self, target: GraspObject, T_base_object: Array, q: Array, goals: Array, steps_left: int, horizon: int

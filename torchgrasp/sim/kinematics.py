@@ -75,7 +75,7 @@ def forward_kinematics(q: Array) -> Array:
     """(N, 7) joint angles to the (N, 4, 4) hand poses T_base_ee.
 
     Example:
-        >>> forward_kinematics(READY_POSTURE[None])[0, :3, 3].round(6).tolist()
+        >>> (forward_kinematics(READY_POSTURE[None])[0, :3, 3].round(6) + 0.0).tolist()
         [0.615013, 0.0, 0.273182]
     """
     return link_poses(q)[:, 7]

@@ -159,7 +159,7 @@ def build_target(
         body.attach(shape)
     # PhysX's inertia at a density of 1000, brought to the wanted mass.
     scale = physics.mass / body.mass
-    inertia = body.inertia * scale
+    inertia = (np.asarray(body.inertia) * scale).tolist()
     body.mass = physics.mass
     body.inertia = inertia
     body.linear_damping = physics.linear_damping

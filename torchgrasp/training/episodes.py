@@ -8,16 +8,17 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError, TorchgraspError
 
-MakeEnv = Callable[[], EnvBase]
+# Makes a GraspEnv with transforms around it.
+MakeEnv = Callable[[], Any]
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class _Runner:
     def __init__(self, factories: dict[str, MakeEnv], keep: list | None) -> None:
         self.factories = factories
         self.keep = keep
-        self.envs: dict[str, EnvBase] = {}
+        self.envs: dict[str, Any] = {}
 
     def __getstate__(self) -> dict:
         return {"factories": self.factories, "keep": self.keep, "envs": {}}

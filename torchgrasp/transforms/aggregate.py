@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,6 +19,9 @@ from torchgrasp.transforms.base import PointTransform, flat_batch, pad_clouds
 
 # Powers of alpha carry errors that must not add a point: 0.9**2 * 100 is 81.00000000000001 in floats.
 _ROUNDING = 1e-9
+
+_IN_KEYS = (keys.POINTS, keys.NUM_POINTS, keys.T_BASE_EE)
+_OUT_KEYS = (keys.POINTS, keys.NUM_POINTS)
 
 
 @dataclass
@@ -47,8 +51,8 @@ class AggregatePoints(PointTransform):
         if max_points < 1:
             raise ConfigError(f"transforms.aggregate.max_points={max_points}: give at least 1.")
         super().__init__(
-            in_keys=[keys.POINTS, keys.NUM_POINTS, keys.T_BASE_EE],
-            out_keys=[keys.POINTS, keys.NUM_POINTS],
+            in_keys=list(_IN_KEYS),
+            out_keys=list(_OUT_KEYS),
             seed=seed,
         )
         self.alpha = alpha
@@ -78,7 +82,8 @@ class AggregatePoints(PointTransform):
         fresh = torch.ones(n, dtype=torch.bool)
         steps, next_steps = [], []
         for t in range(horizon):
-            now = tensordict[..., t].exclude("next")
+            now: Any = tensordict[..., t]
+            now = now.exclude("next")
             rows = range(n)
             if after is not None:
                 rows = fresh.nonzero()[:, 0].tolist()
@@ -89,15 +94,16 @@ class AggregatePoints(PointTransform):
                 done = after.get("done")[..., t, :].reshape(n, -1).any(-1).cpu()
                 next_steps.append(self._add_views(after[..., t].copy(), unions, list(range(n))))
                 fresh = done
-        out = torch.stack(steps, dim=-1)
-        tensordict.update(out.select(*self.out_keys))
+        out: Any = torch.stack(steps, dim=-1)
+        tensordict.update(out.select(*_OUT_KEYS))
         if after is not None:
-            tensordict.set("next", after.update(torch.stack(next_steps, dim=-1).select(*self.out_keys)))
+            next_out: Any = torch.stack(next_steps, dim=-1)
+            tensordict.set("next", after.update(next_out.select(*_OUT_KEYS)))
         return tensordict
 
     def _add_views(self, tensordict: TensorDictBase, unions: list[_Union], rows: list[int]) -> TensorDictBase:
         """Add the views of the batch elements `rows`, and write every union in today's hand frame."""
-        points, counts, T_base_ee = (flat_batch(tensordict.get(key), tensordict) for key in self.in_keys)
+        points, counts, T_base_ee = (flat_batch(tensordict.get(key), tensordict) for key in _IN_KEYS)
         generators = self._generators(tensordict)
         for row in rows:
             seen = points[row, : int(counts[row])]

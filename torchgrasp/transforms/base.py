@@ -46,7 +46,7 @@ class PointTransform(Transform):
         """Declare the keys that are written."""
         batch, device = observation_spec.shape, observation_spec.device
         for key, (shape, dtype) in self._out_shapes(observation_spec).items():
-            observation_spec[key] = Unbounded((*batch, *shape), dtype=dtype, device=device)
+            observation_spec[key] = Unbounded(batch + tuple(shape), dtype=dtype, device=device)
         return observation_spec
 
 

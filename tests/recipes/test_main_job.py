@@ -3,13 +3,14 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import time
 from pathlib import Path
 
 import pytest
-from conftest import command, environment
+from runner import command, environment
 
 REQUIRED = {
     *("success_rate", "success_ci95", "episodes", "objects", "wall_seconds", "env_steps", "gradient_steps"),
@@ -92,8 +93,6 @@ def _wait_for_step(root: Path, step: int, process: subprocess.Popen) -> Path:
 
 
 def test_resume_from_a_truncated_checkpoint_is_refused(finished_run, tmp_path, run_recipe):
-    import shutil
-
     broken = tmp_path / "broken"
     shutil.copytree(finished_run, broken)
     largest = max((broken / "checkpoint").rglob("*.safetensors"), key=lambda path: path.stat().st_size)

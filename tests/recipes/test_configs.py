@@ -1,0 +1,71 @@
+"""Every choice that conf/ offers composes, builds, and keeps TorchRL's contract."""
+
+from itertools import product
+from pathlib import Path
+
+import common
+import pytest
+import trimesh
+from hydra.utils import instantiate
+from learner import Learner
+from torchrl.envs import check_env_specs
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def choices(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+@pytest.fixture(scope="module")
+def meshes(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("meshes")
+    trimesh.creation.box((0.05, 0.06, 0.10)).export(folder / "box.stl")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("env", "objects", "camera", "transforms"),
+    [*product(choices("env"), choices("objects"), choices("camera"), choices("transforms"))],
+)
+def test_every_environment_passes_check_env_specs(composed, meshes, env, objects, camera, transforms):
+    chosen = [f"env={env}", f"objects={objects}", f"camera={camera}", f"transforms={transforms}"]
+    chosen += ["env.num_envs=2", "env.horizon=3", "objects.num_objects=1"]
+    chosen += [f"objects.path={meshes}"] if objects == "folder" else []
+    cfg = composed("experiment=smoke", *chosen)
+    check_env_specs(common.make_env(cfg, "train"), break_when_any_done="both")
+
+
+@pytest.mark.parametrize("experiment", choices("experiment"))
+@pytest.mark.parametrize("model", choices("model"))
+@pytest.mark.parametrize("loss", choices("loss"))
+def test_every_learner_builds(composed, experiment, model, loss):
+    cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25")
+    cfg.replay.online_capacity = cfg.demonstrations.steps = 100
+    learner = Learner(cfg)
+    assert learner.loss.bc_weight == cfg.loss.bc_weight
+    assert learner.targets.period == cfg.online.period
+
+
+@pytest.mark.parametrize("recipe", ["td3_bc", "evaluate", "benchmark"])
+def test_main_configurations_compose(composed, recipe):
+    cfg = composed(*(["policy=random"] if recipe == "evaluate" else []), recipe=recipe)
+    assert instantiate(cfg.camera).intrinsics.width == 112
+
+
+def test_transforms_are_tuned_dropped_and_replaced_by_name(composed):
+    cfg = composed("transforms.aggregate.alpha=0.9", "~transforms.gripper")
+    env = common.make_env(cfg, "train")
+    assert [type(each).__name__ for each in env.transform] == [
+        "DepthToPoints",
+        "AggregatePoints",
+        "SamplePoints",
+    ]
+    assert env.transform[1].alpha == 0.9
+    swapped = composed(
+        "experiment=smoke",
+        "+transforms.flatten={_target_: torchrl.envs.FlattenObservation, first_dim: -2, last_dim: -1,"
+        " in_keys: [points], out_keys: [flat]}",
+    )
+    td = common.make_env(swapped, "train").reset()
+    assert td["flat"].shape[-1] == td["points"][0].numel()
