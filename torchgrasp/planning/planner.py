@@ -64,6 +64,9 @@ class GraspPlanner:
     Attributes:
         funnel: the law that is rolled out.
         quality_weight: metres of L_POSE that a grasp of quality 1 is preferred by.
+        clearance: metres above the table from which on the hand's height no longer counts.
+        clearance_weight: metres of L_POSE that a metre less than `clearance` costs: a learner, which
+            sees no table, must be taught to stay off it.
         max_reached: how many of the nearest grasps are solved for the arm.
         num_rollouts: how many of those are rolled out at once, until one way is free.
         unproved: penalty of a grasp whose way was not tried.
@@ -72,6 +75,8 @@ class GraspPlanner:
 
     funnel: Funnel = field(default_factory=Funnel)
     quality_weight: float = 0.08
+    clearance: float = 0.03
+    clearance_weight: float = 2.0
     max_reached: int = 48
     num_rollouts: int = 4
     unproved: float = 0.03
@@ -99,10 +104,7 @@ class GraspPlanner:
         if not len(clear):
             return Plan(PlanStatus.TABLE, empty)
         T_base_ee = kinematics.forward_kinematics(q[None])[0]
-        cost = (
-            pose_distances(T_base_ee, clear.T_base_ee)
-            - self.quality_weight * target.grasp_quality[clear.index]
-        )
+        cost = pose_distances(T_base_ee, clear.T_base_ee) + self._cost(target, clear)
         order = np.argsort(cost, kind="stable")
         ranked = ReachableGrasps(clear.index[order], clear.T_base_ee[order])
         reached = in_reach(ranked, q, at_most=self.max_reached)
@@ -112,8 +114,13 @@ class GraspPlanner:
         if not (free > 0).any():
             return Plan(PlanStatus.BLOCKED, empty)
         toll = np.array([self.blocked, self.unproved, 0.0])[free + 1]
-        quality = target.grasp_quality[reached.index].astype(np.float64)
-        return Plan(PlanStatus.OK, reached, toll - self.quality_weight * quality)
+        return Plan(PlanStatus.OK, reached, toll + self._cost(target, reached))
+
+    def _cost(self, target: GraspObject, grasps: ReachableGrasps) -> Array:
+        """(K,) metres of L_POSE that the grasps cost whatever the way to them."""
+        quality = target.grasp_quality[grasps.index].astype(np.float64)
+        low = np.maximum(0.0, self.clearance - lowest_point(grasps.T_base_ee))
+        return self.clearance_weight * low - self.quality_weight * quality
 
     def _prove(
         self, target: GraspObject, T_base_object: Array, q: Array, goals: Array, steps_left: int, horizon: int

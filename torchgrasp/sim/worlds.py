@@ -12,7 +12,11 @@ import numpy as np
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.camera import RaycastCamera
+from torchgrasp.sim.reach import lowest_point
 from torchgrasp.sim.world import Physics, World
+
+# Metres above the table at which the controller holds the hand's lowest corner.
+TABLE_GUARD = 0.002
 
 
 class Worlds:
@@ -78,10 +82,14 @@ class Worlds:
     def drive_to_pose(self, T_base_ee: np.ndarray, rows: Sequence[int]) -> None:
         """One control step of the worlds `rows` towards hand poses (N, 4, 4), all N given.
 
-        A pose out of reach is approached as far as the joint limits let the arm go.
+        A pose out of reach is approached as far as the joint limits let the arm go. One that would put
+        the hand into the table is raised: the controller knows its table, as a real one's workspace
+        limits do, and a policy sees nothing of it.
         """
         worlds, index = self._placed(), list(rows)
-        q, _ = kinematics.track_pose(self.joints[index, :7], T_base_ee[index])
+        T_base_ee = T_base_ee[index]
+        T_base_ee[:, 2, 3] += np.maximum(0.0, TABLE_GUARD - lowest_point(T_base_ee))
+        q, _ = kinematics.track_pose(self.joints[index, :7], T_base_ee)
         for row, target in zip(index, q, strict=True):
             worlds[row].drive(target)
 
