@@ -6,6 +6,7 @@ import pytest
 from torchgrasp.errors import ConfigError
 from torchgrasp.sim import CameraIntrinsics, Physics, RaycastCamera, Worlds
 from torchgrasp.sim import kinematics as kin
+from torchgrasp.sim.reach import lowest_point
 from torchgrasp.sim.world import World
 
 READY = kin.READY_POSTURE
@@ -50,6 +51,15 @@ def test_a_step_relative_to_the_hand_is_made_within_a_millimetre(brick):
         wanted = worlds.T_base_ee @ pose_at(0.0, 0.0, 0.015)
         worlds.drive_to_pose(wanted, [0])
         assert np.abs(worlds.T_base_ee[0] - wanted[0]).max() < 1e-3
+
+
+def test_the_controller_holds_the_hand_off_the_table(brick):
+    worlds = make_worlds(1)
+    worlds.place(0, brick, pose_at(0.5, 0.3, 0.04), posture_at(hand_above(0.5, -0.2, 0.25)))
+    for _ in range(12):
+        worlds.drive_to_pose(worlds.T_base_ee @ pose_at(0.01, 0.0, 0.05), [0])
+        assert lowest_point(worlds.T_base_ee)[0] > 0.0
+    assert lowest_point(worlds.T_base_ee)[0] < 0.01
 
 
 def test_no_step_turns_a_joint_faster_than_it_may(brick):

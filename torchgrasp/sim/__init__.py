@@ -1,5 +1,6 @@
 """What moves: the Panda, the table, the objects and the wrist camera. Only this folder imports sapien."""
 
+from torchgrasp.sim._sapien import sapien as sapien
 from torchgrasp.sim.camera import CameraIntrinsics as CameraIntrinsics
 from torchgrasp.sim.camera import RaycastCamera as RaycastCamera
 from torchgrasp.sim.world import Physics as Physics
