@@ -112,5 +112,5 @@ def test_plans_are_repeatable_and_leave_their_arguments_alone(scenes):
 def test_better_grasps_are_preferred_by_their_weight(scenes):
     scene = scenes[0]
     quality = OBJECTS[scene.object_id].grasp_quality
-    found = plan(scene, planner=GraspPlanner(quality_weight=0.5, unproved=0.0, blocked=0.0))
+    found = plan(scene, planner=GraspPlanner(quality_weight=0.5, clearance_weight=0.0, blocked=0.0))
     assert found.penalty == pytest.approx(-0.5 * quality[found.grasps.index], abs=1e-6)

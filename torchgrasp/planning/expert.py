@@ -61,7 +61,7 @@ class ExpertPolicy(TensorDictModuleBase):
         *,
         horizon: int,
         planner: GraspPlanner | None = None,
-        loyalty: float = 0.02,
+        loyalty: float = 0.01,
         execute: bool = True,
     ) -> None:
         super().__init__()

@@ -69,7 +69,6 @@ class GraspPlanner:
             sees no table, must be taught to stay off it.
         max_reached: how many of the nearest grasps are solved for the arm.
         num_rollouts: how many of those are rolled out at once, until one way is free.
-        unproved: penalty of a grasp whose way was not tried.
         blocked: penalty of a grasp whose way was found blocked from the start.
     """
 
@@ -79,7 +78,6 @@ class GraspPlanner:
     clearance_weight: float = 2.0
     max_reached: int = 48
     num_rollouts: int = 4
-    unproved: float = 0.03
     blocked: float = 0.25
 
     def plan(
@@ -113,7 +111,7 @@ class GraspPlanner:
         free = self._prove(target, T_base_object, q, reached.T_base_ee, steps_left, horizon)
         if not (free > 0).any():
             return Plan(PlanStatus.BLOCKED, empty)
-        toll = np.array([self.blocked, self.unproved, 0.0])[free + 1]
+        toll = np.where(free < 0, self.blocked, 0.0)
         return Plan(PlanStatus.OK, reached, toll + self._cost(target, reached))
 
     def _cost(self, target: GraspObject, grasps: ReachableGrasps) -> Array:
