@@ -1,4 +1,3 @@
-import math
 
 import pytest
 import roma
@@ -68,13 +67,6 @@ def test_a_network_that_starts_at_zero_gets_finite_poses_and_gradients():
     pose = geo.goal_to_pose(goal)
     pose.sum().backward()
     assert torch.isfinite(pose).all() and torch.isfinite(goal.grad).all()
-
-
-def test_rotation_angle_is_the_angle_about_any_axis():
-    axis = torch.nn.functional.normalize(torch.randn(20, 3, dtype=F64), dim=-1)
-    angle = torch.linspace(0.0, math.pi, 20, dtype=F64)
-    rotation = roma.rotvec_to_rotmat(axis * angle[:, None])
-    assert torch.allclose(geo.rotation_angle(rotation), angle, atol=1e-6)
 
 
 @pytest.mark.parametrize("roll", [0.0, 1.0, -2.5])

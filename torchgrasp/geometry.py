@@ -85,11 +85,6 @@ def pose_to_goal(pose: Tensor) -> Tensor:
     return torch.cat((pose[..., :3, 3], quaternion), dim=-1)
 
 
-def rotation_angle(rotation: Tensor) -> Tensor:
-    """(*, 3, 3) rotation to its (*) angle in radians, in [0, pi]."""
-    return roma.rotmat_to_rotvec(rotation).norm(dim=-1)
-
-
 def look_along(direction: Tensor, roll: Tensor) -> Tensor:
     """(*, 3) directions and (*) rolls (rad) to (*, 3, 3) rotations whose z axis is that direction.
 

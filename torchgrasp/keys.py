@@ -28,7 +28,6 @@ from __future__ import annotations
 
 DEPTH = ("camera", "depth")
 MASK = ("camera", "mask")
-RGB = ("camera", "rgb")
 T_BASE_EE = "T_base_ee"
 T_BASE_CAMERA = "T_base_camera"
 T_BASE_OBJECT = "T_base_object"

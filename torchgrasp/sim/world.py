@@ -82,7 +82,6 @@ class World:
         self._panda = Panda(self._scene, finger_friction=physics.finger_friction)
         self._target = build_target(self._scene, target, T_base_object, physics, material)
         self._panda.place(q)
-        self._arm_target = np.array(q, dtype=np.float64)
 
     @property
     def joints(self) -> np.ndarray:
