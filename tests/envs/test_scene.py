@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from torchgrasp.envs.scene import SceneSampler, StartPoses
+from torchgrasp.envs.scene import SceneSampler, StartPoses, _touches
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import ProceduralObjects
+from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.sim import Physics
 from torchgrasp.sim import kinematics as kin
-from torchgrasp.sim.reach import clear_grasps, in_reach, lowest_point
+from torchgrasp.sim.reach import clear_grasps, in_reach
 from torchgrasp.sim.world import World
 
 OBJECTS = ProceduralObjects("train", num_objects=5, num_grasps=100)
@@ -68,6 +69,16 @@ def test_every_scene_has_grasps_that_the_arm_reaches_clear_of_the_table(scenes):
         grasps = clear_grasps(OBJECTS[scene.object_id], scene.T_base_object)
         assert lowest_point(grasps.T_base_ee).min() > 0.004
         assert len(in_reach(grasps, kin.READY_POSTURE)) >= 8
+
+
+def test_a_hand_before_the_middle_of_a_face_without_vertices_touches_it():
+    box = next(item for item in OBJECTS if item.family == "box")
+    half = np.array((0.4, 0.4, 0.2), np.float32)
+    crate = replace(box, vertices=box.vertices / np.abs(box.vertices).max(0) * half, content_hash="crate")
+    for gap, touches in ((0.005, True), (0.05, False)):
+        T_base_ee = np.diag((1.0, -1.0, -1.0, 1.0))
+        T_base_ee[2, 3] = 0.2 + 0.1129 + gap  # the pads end 0.1129 below the hand's origin
+        assert _touches(crate, np.eye(4), T_base_ee) == touches
 
 
 def test_objects_places_and_turns_are_spread_out(scenes):

@@ -4,7 +4,7 @@ import trimesh
 
 from torchgrasp.objects.families import FAMILIES
 from torchgrasp.objects.solids import box, cylinder, hull, join, mass_properties
-from torchgrasp.objects.surface import RayTarget, depth_in_parts, sample_surface
+from torchgrasp.objects.surface import RayTarget, depth_in_parts, sample_surface, surface_points
 
 
 def test_mass_of_two_boxes_by_hand():
@@ -69,3 +69,13 @@ def test_sizes_fit_a_table_and_a_hand(family):
         sides = np.sort(np.ptp(solid.vertices, axis=0))
         assert 0.03 < sides[2] < 0.21
         assert sides[0] < 0.075 or family in ("bowl", "mug")
+
+
+def test_surface_points_lie_on_the_surface_and_are_kept(one_of_each):
+    box = one_of_each["box"]
+    points = surface_points(box)
+    half = np.abs(box.vertices).max(0)
+    assert points.shape == (512, 3)
+    assert np.abs(np.abs(points) - half).min(1).max() < 1e-6 and (np.abs(points) < half + 1e-6).all()
+    assert surface_points(box) is points
+    assert not np.array_equal(surface_points(one_of_each["mug"]), points)

@@ -9,12 +9,11 @@ import torch
 from torchgrasp.envs.scene import SceneSampler, StartPoses
 from torchgrasp.objectives.functional import pose_distance
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.objects.gripper import hand_blocked
+from torchgrasp.objects.gripper import hand_blocked, lowest_point
 from torchgrasp.planning import GraspPlanner, PlanStatus
 from torchgrasp.planning.planner import pose_distances
 from torchgrasp.sim import Physics
 from torchgrasp.sim import kinematics as kin
-from torchgrasp.sim.reach import lowest_point
 
 OBJECTS = ProceduralObjects("train", num_objects=4, num_grasps=100)
 READY = kin.READY_POSTURE

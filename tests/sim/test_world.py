@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from torchgrasp.errors import ConfigError
+from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.sim import CameraIntrinsics, Physics, RaycastCamera, Worlds
 from torchgrasp.sim import kinematics as kin
-from torchgrasp.sim.reach import lowest_point
 from torchgrasp.sim.world import World
 
 READY = kin.READY_POSTURE

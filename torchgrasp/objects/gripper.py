@@ -63,12 +63,22 @@ def clear_of_table(
         approach: metres of straight approach.
         margin: metres.
     """
-    x, y, z = (T_world_ee[:, 2, axis] for axis in range(3))
+    return lowest_point(T_world_ee, approach=approach) > margin
+
+
+def lowest_point(T_world_ee: NDArray, *, approach: float = 0.0) -> NDArray:
+    """(*,) height above z = 0, metres, of the lowest corner of the open hand at (*, 4, 4) poses.
+
+    Args:
+        T_world_ee: (*, 4, 4) poses of the hand.
+        approach: metres of straight approach that count as well.
+    """
+    x, y, z = (T_world_ee[..., 2, axis] for axis in range(3))
     lowest = [
         -half_x * np.abs(x) - outer * np.abs(y) + np.minimum(z * (rear - approach), z * front)
         for half_x, _, outer, rear, front in _BOXES
     ]
-    return T_world_ee[:, 2, 3] + np.min(lowest, axis=0) > margin
+    return T_world_ee[..., 2, 3] + np.min(lowest, axis=0)
 
 
 def _coordinate(cloud: NDArray, poses: NDArray, axis: int) -> NDArray:

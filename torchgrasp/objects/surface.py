@@ -10,6 +10,8 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from torchgrasp.objects.model import GraspObject
+
 Points = NDArray[np.float64]
 _NO_HIT = 1e30  # embree answers a distance of 1e37 where a ray meets nothing
 
@@ -32,6 +34,25 @@ def sample_surface(
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = vertices[faces[chosen]].transpose(1, 0, 2)
     return a + u * (b - a) + v * (c - a), chosen
+
+
+_samples: dict[str, Points] = {}
+_MAX_SAMPLES = 512
+
+
+def surface_points(target: GraspObject) -> Points:
+    """(512, 3) points on the object's surface, object frame, the same at every call.
+
+    Those of the last 512 objects are kept.
+    """
+    points = _samples.pop(target.content_hash, None)
+    if points is None:
+        vertices = target.vertices.astype(np.float64)
+        points, _ = sample_surface(vertices, target.faces, 512, np.random.default_rng(0))
+    _samples[target.content_hash] = points
+    if len(_samples) > _MAX_SAMPLES:
+        _samples.pop(next(iter(_samples)))
+    return points
 
 
 def thin(points: Points, spacing: float) -> Points:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
 from torchgrasp.geometry import gripper_control_points
-from torchgrasp.objects.gripper import hand_blocked
+from torchgrasp.objects.gripper import hand_blocked, lowest_point
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.objects.surface import sample_surface
+from torchgrasp.objects.surface import surface_points
 from torchgrasp.planning.funnel import Funnel
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.kinematics import Array
-from torchgrasp.sim.reach import ReachableGrasps, clear_grasps, in_reach, lowest_point
+from torchgrasp.sim.reach import ReachableGrasps, clear_grasps, in_reach
 
 _CONTROL_POINTS = gripper_control_points().numpy().astype(np.float64)
 
@@ -153,14 +152,5 @@ class GraspPlanner:
         free &= (lowest_point(path) > 0.0).all(axis=-1)
         arrived = np.linalg.norm(path[:, -1, :3, 3] - goals[:, :3, 3], axis=-1) < 5e-3
         T_object_ee = np.linalg.solve(T_base_object, path.reshape(-1, 4, 4))
-        touched = hand_blocked(_surface_points(target), T_object_ee, approach=0.0)
+        touched = hand_blocked(surface_points(target), T_object_ee, approach=0.0)
         return free & arrived & ~touched.reshape(len(goals), -1).any(axis=-1)
-
-
-@functools.lru_cache(maxsize=512)
-def _surface_points(target: GraspObject) -> np.ndarray:
-    """(512, 3) points on the object's surface, object frame; the same at every call."""
-    points, _ = sample_surface(
-        target.vertices.astype(np.float64), target.faces, 512, np.random.default_rng(0)
-    )
-    return points

@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
 
+from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
-from torchgrasp.sim.panda import hand_boxes
 
 TABLE_CLEARANCE = 0.004
-
-
-@functools.cache
-def _hand_corners() -> np.ndarray:
-    """(72, 3) corners of the open hand's boxes, hand frame."""
-    signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
-    return np.concatenate([signs * size @ pose[:3, :3].T + pose[:3, 3] for pose, size in hand_boxes()])
-
-
-def lowest_point(T_base_ee: np.ndarray) -> np.ndarray:
-    """(*,) height above the table, metres, of the lowest corner of the open hand at (*, 4, 4) poses."""
-    return T_base_ee[..., 2, 3] + (_hand_corners() @ T_base_ee[..., 2, :3, None])[..., 0].min(axis=-1)
 
 
 @dataclass(frozen=True)

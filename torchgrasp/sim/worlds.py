@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.camera import RaycastCamera
-from torchgrasp.sim.reach import lowest_point
 from torchgrasp.sim.world import Physics, World
 
 # Metres above the table at which the controller holds the hand's lowest corner.
@@ -92,12 +92,6 @@ class Worlds:
         q, _ = kinematics.track_pose(self.joints[index, :7], T_base_ee)
         for row, target in zip(index, q, strict=True):
             worlds[row].drive(target)
-
-    def drive_to_joints(self, q: np.ndarray, rows: Sequence[int]) -> None:
-        """One control step of the worlds `rows` towards arm angles (N, 7), all N given."""
-        worlds = self._placed()
-        for row in rows:
-            worlds[row].drive(np.clip(q[row], kinematics.JOINT_LOWER, kinematics.JOINT_UPPER))
 
     def close_and_lift(self, rows: Sequence[int]) -> np.ndarray:
         """Close the fingers and lift in the worlds `rows`; (len(rows),) metres that each target rose."""
