@@ -45,7 +45,8 @@ def finger_triangles(fingers: np.ndarray) -> np.ndarray:
     scene = sapien.Scene([physx.PhysxCpuSystem()])
     panda = Panda(scene)
     panda.articulation.set_qpos(np.concatenate((kin.READY_POSTURE, fingers)).astype(np.float32))
-    T_ee_base = np.linalg.inv(panda.hand.entity_pose.to_transformation_matrix())
+    hand = panda.articulation.find_link_by_name("hand")
+    T_ee_base = np.linalg.inv(hand.entity_pose.to_transformation_matrix())
     out = []
     for name in ("hand", "left_finger", "right_finger"):
         link = panda.articulation.find_link_by_name(name)

@@ -5,9 +5,11 @@ import pytest
 import sapien
 from sapien import physx
 
+from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim import panda as robot
 from torchgrasp.sim.panda import Panda
+from torchgrasp.sim.panda_tables import hand_boxes
 
 READY = kin.READY_POSTURE
 
@@ -112,7 +114,7 @@ def test_hand_box_has_the_size_of_the_hand():
 
 @pytest.mark.parametrize("left, right", [(0.04, 0.04), (0.01, 0.03), (0.0, 0.0)])
 def test_gap_between_the_pads_is_the_sum_of_the_finger_positions(left, right):
-    boxes = robot.hand_boxes(left, right)
+    boxes = hand_boxes(left, right)
     pads = [(pose, size) for pose, size in boxes if size == pytest.approx([0.0175, 0.0152, 0.0185])]
     faces = sorted(pose[1, 3] - np.sign(pose[1, 3]) * size[1] / 2 for pose, size in pads)
     assert faces[1] - faces[0] == pytest.approx(left + right, abs=1e-4)
@@ -126,8 +128,17 @@ def test_hand_boxes_stand_where_the_simulation_has_them():
         link = stand.link(name)
         T_ee_link = T_ee_base @ link.entity_pose.to_transformation_matrix()
         expected += [T_ee_link @ s.local_pose.to_transformation_matrix() for s in link.collision_shapes]
-    for (pose, _), other in zip(robot.hand_boxes(), expected, strict=True):
+    for (pose, _), other in zip(hand_boxes(), expected, strict=True):
         assert pose == pytest.approx(other, abs=1e-5)
+
+
+def test_the_hands_lowest_point_is_that_of_its_boxes():
+    signs = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3), axis=-1).reshape(-1, 3)
+    corners = np.concatenate([signs * size @ pose[:3, :3].T + pose[:3, 3] for pose, size in hand_boxes()])
+    poses = np.tile(np.eye(4), (500, 1, 1))
+    poses[:, :3, :3] = np.linalg.qr(np.random.default_rng(0).normal(size=(500, 3, 3)))[0]
+    expected = (corners @ poses[:, 2, :3, None])[..., 0].min(-1)
+    assert lowest_point(poses) == pytest.approx(expected, abs=2e-5)
 
 
 def fold(joint_targets: dict[int, float], seconds: float = 3.0) -> Stand:

@@ -11,7 +11,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.sim import panda
+from torchgrasp.sim.panda_tables import hand_boxes
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 
 # Released code: the camera sits at (0.036, 0, 0.036) of the hand and looks along the hand's z.
@@ -156,7 +156,7 @@ class RaycastCamera:
     def _cast_hand(self, left: float, right: float) -> np.ndarray:
         """(H*W,) depth of hand and fingers, which stand still before the camera at one opening."""
         depth = np.full(len(self.intrinsics.rays), np.inf)
-        for T_ee_box, size in panda.hand_boxes(left, right):
+        for T_ee_box, size in hand_boxes(left, right):
             T_box_camera = np.linalg.solve(T_ee_box, self.T_ee_camera)
             rays = self.intrinsics.rays @ T_box_camera[:3, :3].T
             with np.errstate(divide="ignore", invalid="ignore"):
