@@ -5,21 +5,27 @@ python recipes/collect.py demonstrations.steps=50000 demonstrations.path=demos
 
 from __future__ import annotations
 
+import json
 from itertools import count
 from pathlib import Path
 
 import common
 import hydra
+import settings
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictSequential
 
 from torchgrasp.data import append_shard, count_shards, open_demonstrations
+from torchgrasp.data.files import write_json_atomically
+from torchgrasp.errors import ConfigError
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.training import EpisodePool, Progress, one_line_errors
 
 # Rounds of all worlds in a file of demonstrations, which is written whole or not at all.
 _SHARD_ROUNDS = 4
+# Episodes without one success after which collecting would never end.
+_HOPELESS = 200
 
 
 def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
@@ -31,6 +37,7 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
     Returns:
         The card of the demonstrations: objects, episodes, successes, bytes.
     """
+    _check_origin(cfg, path)
     done, card = count_shards(path), {}
     if done:
         card = open_demonstrations(path).card
@@ -56,8 +63,47 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
             success_rate=card["successes"] / card["episodes"],
         )
         have = card["successful_steps"]
+        if card["episodes"] >= _HOPELESS and not have:
+            raise ConfigError(
+                f"The expert lifted nothing in {card['episodes']} episodes (env.horizon={cfg.env.horizon}): "
+                "give it more steps, or objects that the hand can hold."
+            )
     progress.close()
     return card
+
+
+def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> Path:
+    """The folder of demonstrations that was given, or one below `run_dir`, collected as configured."""
+    if cfg.demonstrations.path is None:
+        collect(cfg, pool, run_dir / "demonstrations")
+        return run_dir / "demonstrations"
+    path = Path(cfg.demonstrations.path)
+    if not count_shards(path):
+        raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
+    _check_origin(cfg, path, ("transforms", "camera", "horizon"))
+    return path
+
+
+def _check_origin(cfg: DictConfig, path: Path, names: tuple[str, ...] = ()) -> None:
+    """Refuse demonstrations that another configuration made; `names` tells what must agree, () for all."""
+    plain = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(plain, dict)
+    ours = {name: plain[name] for name in ("seed", "env", "objects", "camera", "transforms")}
+    ours |= {"horizon": cfg.env.horizon, "disturb": plain["collector"]["disturb"]}
+    file = path / "origin.json"
+    if not file.exists():
+        if count_shards(path):
+            raise ConfigError(f"{path} lacks {file.name}: its origin is unknown, give another folder.")
+        path.mkdir(parents=True, exist_ok=True)
+        write_json_atomically(file, ours)
+        return
+    theirs = json.loads(file.read_text())
+    differing = [name for name in (names or ours) if ours[name] != theirs.get(name)]
+    if differing:
+        raise ConfigError(
+            f"The demonstrations in {path} were collected with another {', '.join(differing)}: "
+            f"configure that as {file} tells, or give another folder."
+        )
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
@@ -65,8 +111,10 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
 def main(cfg: DictConfig) -> None:
     """Collect into `demonstrations.path`, by default outputs/demonstrations."""
     path = Path(cfg.demonstrations.path or Path(cfg.output_dir) / "demonstrations")
+    settings.check_values(cfg)
+    common.count_points(cfg)
     with common.make_pool(cfg) as pool:
-        common.prepare_objects(cfg)
+        common.prepare_objects(cfg, "train")
         card = collect(cfg, pool, path)
     print(
         f"{path}: {card['episodes']} episodes, {card['successes']} successful, {card['bytes'] / 1e6:.0f} MB"

@@ -6,31 +6,32 @@ import time
 
 import common
 import hydra
-from omegaconf import DictConfig, OmegaConf
+import settings
+from omegaconf import DictConfig
 
-from torchgrasp.training import make_run_dir, one_line_errors, write_summary
+from torchgrasp.training import one_line_errors, write_summary
 
 
 def evaluate(cfg: DictConfig) -> dict:
-    """Run `episodes` scenes of `objects.split`; write and return the summary."""
+    """Run `episodes` scenes of the evaluation's objects; write and return the summary."""
     started = time.monotonic()
-    cfg = common.evaluation_config(cfg)
-    policy = common.make_policy(cfg, cfg.policy)
+    cfg = settings.for_evaluation(cfg)
+    common.count_points(cfg)
+    policy = common.make_policy(cfg, str(cfg.policy))
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg, "test")
-        table = common.evaluate(cfg, pool, policy, str(cfg.policy)).summary()
-    run_dir = make_run_dir("evaluate", root=cfg.output_dir)
-    OmegaConf.save(cfg, run_dir / "config.yaml", resolve=True)
+        table = common.evaluate(cfg, pool, policy, str(cfg.policy))
+    run_dir = settings.open_run(cfg, "evaluate")
+    common.print_comparison(cfg, {str(cfg.policy): table})
+    print(f"Written to {run_dir}: summary.json")
     summary = {
         **table,
         "policy": str(cfg.policy),
         "protocol": cfg.protocol,
+        "scenes": common.describe_scenes(cfg),
         "wall_seconds": time.monotonic() - started,
-        "env_steps": table["episodes"] * cfg.env.horizon,
         "gradient_steps": 0,
     }
-    common.print_comparison(cfg, {str(cfg.policy): table})
-    print(f"Written to {run_dir}: summary.json")
     return write_summary(run_dir, summary)
 
 

@@ -13,11 +13,12 @@ from tensordict import TensorDictBase
 
 from torchgrasp import keys
 from torchgrasp.data import MixtureReplayBuffer, estimate_bytes, open_demonstrations
+from torchgrasp.data.files import find_folder
+from torchgrasp.errors import CheckpointError
 from torchgrasp.objectives import PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import (
     cosine_schedule,
     get_rng_state,
-    has_checkpoint,
     load_checkpoint,
     save_checkpoint,
     seed_everything,
@@ -33,9 +34,10 @@ class Learner:
 
     Args:
         cfg: the recipe's configuration.
+        num_points: observed points of a cloud.
     """
 
-    def __init__(self, cfg: DictConfig) -> None:
+    def __init__(self, cfg: DictConfig, num_points: int) -> None:
         seed_everything(cfg.seed)
         self.cfg = cfg
         self.actor = instantiate(cfg.model.actor).to(cfg.device)
@@ -50,9 +52,10 @@ class Learner:
         }
         self.noise = instantiate(cfg.collector.noise).to(cfg.device)
         self.expert_start = instantiate(cfg.collector.expert_start)
-        self.buffer = _make_buffer(cfg)
+        self.buffer: MixtureReplayBuffer
+        self._num_points = num_points
         self._imitation_rate = cosine_schedule(
-            cfg.pretrain.steps, warmup_steps=min(200, cfg.pretrain.steps // 10)
+            max(1, cfg.pretrain.steps), warmup_steps=min(200, cfg.pretrain.steps // 10)
         )
         self._online_rate = step_schedule(
             [round(1000 * m) for m in cfg.online.milestones], gamma=cfg.online.decay
@@ -67,14 +70,44 @@ class Learner:
         """Seconds spent on this run, those before a resume included."""
         return self._earlier_seconds + time.monotonic() - self._started
 
-    def load_demonstrations(self, path: Path) -> None:
-        """Fill D_expert with the successful episodes below `path`."""
-        for rows in open_demonstrations(path).iterate_rows():
-            self.buffer.extend_rows(rows[rows[keys.EPISODE_SUCCESS].squeeze(-1)], source="expert")
-        size = estimate_bytes(
-            sum(self.buffer.num_rows().values()), num_points=self.cfg.transforms.sample.num_points
+    def make_buffer(self, demonstrations: Path) -> None:
+        """An empty buffer with room for the demonstrations below the path."""
+        cfg, opened = self.cfg, open_demonstrations(demonstrations)
+        self._demonstrations = opened
+        share = cfg.replay.online_fraction
+        capacities = {"online": cfg.replay.online_capacity, "expert": opened.card["rows"]}
+        self._shares = {"online": share, "expert": 1.0 - share}
+        size = estimate_bytes(sum(capacities.values()), num_points=self._num_points)
+        print(f"Replay buffer: up to {size / 1e9:.2f} GB for {capacities} transitions")
+        self.buffer = MixtureReplayBuffer(
+            capacities,
+            self._shares,
+            batch_size=cfg.replay.batch_size,
+            seed=cfg.seed,
+            folder=cfg.replay.folder,
+            num_points=self._num_points,
+            transform=instantiate(cfg.replay.augment),
         )
-        print(f"{self.buffer.num_rows()['expert']} expert steps, {size / 1e6:.0f} MB in memory")
+
+    def load_demonstrations(self) -> None:
+        """Fill D_expert with the successful demonstrations."""
+        for rows in self._demonstrations.iterate_rows():
+            self.buffer.extend_rows(rows[rows[keys.EPISODE_SUCCESS].squeeze(-1)], source="expert")
+
+    def describe_demonstrations(self) -> dict:
+        """Episodes, successes, steps and bytes of the demonstrations."""
+        card = self._demonstrations.card
+        return {name: card[name] for name in ("episodes", "successes", "successful_steps", "bytes")}
+
+    def begin_imitation(self) -> None:
+        """Draw from D_expert alone."""
+        self.buffer.set_shares({"online": 0.0, "expert": 1.0})
+
+    def begin_reinforcement(self) -> None:
+        """Draw from both sources, with targets that know what imitation has taught."""
+        self.buffer.set_shares(self._shares)
+        if self.iterations == 0:
+            self.targets.copy()
 
     def imitate(self, batch: TensorDictBase) -> dict[str, float]:
         """One update of imitation and goal prediction, of the critic too where configured."""
@@ -87,8 +120,6 @@ class Learner:
         else:
             self.gradient_steps += 1
         self.pretrain_steps += 1
-        if self.pretrain_steps == self.cfg.pretrain.steps:
-            self.set_rates(0.0)
         return metrics
 
     def update_critic(self, batch: TensorDictBase) -> dict[str, float]:
@@ -146,9 +177,18 @@ class Learner:
 
     def resume(self, run_dir: Path) -> bool:
         """Take up the checkpoint of `run_dir`; False where it has none yet."""
-        if not has_checkpoint(run_dir / "checkpoint"):
+        if not find_folder(run_dir / "checkpoint").exists():
             return False
         state = load_checkpoint(run_dir / "checkpoint")
+        try:
+            self._take_up(state)
+        except (KeyError, RuntimeError, ValueError) as error:
+            raise CheckpointError(
+                f"{run_dir}/checkpoint is of another configuration ({error}): resume it as it was begun."
+            ) from error
+        return True
+
+    def _take_up(self, state: dict) -> None:
         self.loss.load_state_dict(state["loss"])
         self.targets.load_state_dict(state["targets"])
         for name, optimizer in self.optimizers.items():
@@ -161,20 +201,6 @@ class Learner:
             setattr(self, name, progress[name])
         self.results, self._earlier_seconds = progress["results"], progress["wall_seconds"]
         self._recent.extend(progress["recent"])
-        return True
 
 
 _COUNTERS = ("pretrain_steps", "gradient_steps", "env_steps", "iterations")
-
-
-def _make_buffer(cfg: DictConfig) -> MixtureReplayBuffer:
-    """D_expert and the learner's own transitions, mixed by `replay.online_fraction`."""
-    share = cfg.replay.online_fraction
-    return MixtureReplayBuffer(
-        {"online": cfg.replay.online_capacity, "expert": 2 * cfg.demonstrations.steps},
-        {"online": share, "expert": 1 - share},
-        batch_size=cfg.replay.batch_size,
-        seed=cfg.seed,
-        num_points=cfg.transforms.sample.num_points,
-        transform=instantiate(cfg.replay.augment),
-    )

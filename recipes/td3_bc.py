@@ -7,12 +7,12 @@ python recipes/td3_bc.py resume=outputs/td3_bc/<date_time>
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import collect
 import common
 import hydra
+import settings
 from learner import Learner
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictSequential
@@ -30,25 +30,24 @@ from torchgrasp.training import (
 
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
-    cfg = common.resumed_config(cfg)
-    common.check_config(cfg)
-    learner = Learner(cfg)
-    run_dir = common.open_run(cfg, "td3_bc")
+    cfg = settings.resumed(cfg)
+    learner = Learner(cfg, common.count_points(cfg))
+    run_dir = settings.open_run(cfg, "td3_bc")
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg)
-        path = Path(cfg.demonstrations.path or run_dir / "demonstrations")
-        card = collect.collect(cfg, pool, path)
+        path = collect.demonstrations(cfg, pool, run_dir)
+        learner.make_buffer(path)
         resumed = learner.resume(run_dir)
         if not resumed:
-            learner.load_demonstrations(path)
+            learner.load_demonstrations()
         logger = MetricsLogger(
             run_dir,
             resume_step=learner.gradient_steps + 1 if resumed else None,
             tensorboard=cfg.logger.tensorboard,
         )
         pretrain(cfg, learner, logger, run_dir)
-        if "bc" not in learner.results:
-            learner.results["bc"] = common.evaluate(cfg, pool, learner.actor, "imitation alone").summary()
+        if cfg.pretrain.steps and "bc" not in learner.results:
+            learner.results["bc"] = common.evaluate(cfg, pool, learner.actor, "imitation alone")
             learner.checkpoint(run_dir)
         reinforce(cfg, learner, logger, pool, run_dir)
         save_weights(
@@ -56,7 +55,7 @@ def train(cfg: DictConfig) -> dict:
             {"actor": learner.actor, "critic": learner.critic},
             OmegaConf.to_container(cfg, resolve=True),  # pyright: ignore[reportArgumentType]
         )
-        return conclude(cfg, learner, logger, pool, run_dir, card)
+        return conclude(cfg, learner, logger, pool, run_dir)
 
 
 def pretrain(cfg: DictConfig, learner: Learner, logger: MetricsLogger, run_dir: Path) -> None:
@@ -64,6 +63,7 @@ def pretrain(cfg: DictConfig, learner: Learner, logger: MetricsLogger, run_dir: 
     progress = Progress(
         cfg.pretrain.steps, initial=learner.pretrain_steps, description="imitation", unit="update"
     )
+    learner.begin_imitation()
     while learner.pretrain_steps < cfg.pretrain.steps:
         metrics = learner.imitate(learner.buffer.sample(cfg.pretrain.batch_size).to(cfg.device))
         if learner.pretrain_steps % 50 == 0 or learner.pretrain_steps == cfg.pretrain.steps:
@@ -83,12 +83,12 @@ def reinforce(
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
     policy = TensorDictSequential(*modules)
     progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
+    learner.begin_reinforcement()
     while learner.env_steps < cfg.total_env_steps:
+        learner.set_rates(learner.env_steps / cfg.total_env_steps)
         start = common.ONLINE_EPISODES + learner.iterations * rounds
-        learner.actor.eval()
-        batches = pool.run("train", policy, range(start, start + rounds), explore=True)
+        batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
         episodes = [episode for batch in batches for episode in batch]
-        learner.actor.train()
         num_steps = sum(len(episode.steps) for episode in episodes)
         for episode in episodes:
             learner.buffer.extend(episode.steps[None], source="online")
@@ -103,7 +103,6 @@ def reinforce(
             metrics |= learner.update_critic(batch)
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
-        learner.set_rates(learner.env_steps / cfg.total_env_steps)
 
         logger.log(
             learner.gradient_steps,
@@ -117,38 +116,36 @@ def reinforce(
 
 
 def conclude(
-    cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path, card: dict
+    cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> dict:
-    """Measure the policy beside the baselines on the same unseen scenes; write and print summary.json."""
-    tables = {"policy": common.evaluate(cfg, pool, learner.actor, "policy").summary()}
-    tables["policy after imitation alone"] = learner.results["bc"]
+    """Measure the policy beside the baselines on the same scenes; write and print summary.json."""
+    tables = {"policy": common.evaluate(cfg, pool, learner.actor, "policy")}
+    if "bc" in learner.results:
+        tables["policy after imitation alone"] = learner.results["bc"]
     for name in cfg.evaluation.baselines:
-        tables[name] = common.evaluate(cfg, pool, common.make_policy(cfg, name), name).summary()
-    logger.log(learner.gradient_steps, {"test/success_rate": tables["policy"]["success_rate"]})
+        tables[name] = common.evaluate(cfg, pool, common.make_policy(cfg, name), name)
+    logger.log(learner.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
     logger.close()
-    summary = write_summary(
-        run_dir,
-        {
-            **tables["policy"],
-            "comparison": tables,
-            "demonstrations": {key: card[key] for key in ("episodes", "successes", "bytes")},
-            "wall_seconds": learner.wall_seconds,
-            "env_steps": learner.env_steps,
-            "gradient_steps": learner.gradient_steps,
-        },
-    )
+    summary = {
+        **tables["policy"],
+        "scenes": common.describe_scenes(cfg),
+        "comparison": tables,
+        "demonstrations": learner.describe_demonstrations(),
+        "wall_seconds": learner.wall_seconds,
+        "env_steps": learner.env_steps,
+        "gradient_steps": learner.gradient_steps,
+    }
     common.print_comparison(cfg, tables)
-    print(f"Written to {run_dir}: summary.json, metrics.csv, weights.safetensors")
-    return summary
+    minutes = learner.wall_seconds / 60
+    print(f"{minutes:.1f} minutes. In {run_dir}: summary.json, metrics.csv, weights.safetensors")
+    return write_summary(run_dir, summary)
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Train as configured."""
-    started = time.time()
     train(cfg)
-    print(f"done in {(time.time() - started) / 60:.1f} minutes")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,3 @@
-
 import pytest
 import roma
 import torch

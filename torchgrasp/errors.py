@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numbers import Real
+
 
 class TorchgraspError(Exception):
     """Base class: a user can mend what any of these says, so recipes print them without a traceback."""
@@ -21,6 +23,8 @@ class CheckpointError(TorchgraspError):
 
 def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
     """Raise ConfigError unless ``low <= value <= high`` (``low < value`` where `open_low`)."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ConfigError(f"{name}={value!r} is no number: give one in [{low}, {high}].")
     too_low = value <= low if open_low else value < low
     if too_low or value > high or value != value:
         bracket = "(" if open_low else "["

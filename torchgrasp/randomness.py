@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 
 from torchgrasp import keys
+from torchgrasp.errors import ConfigError
 
 _TICKS = 1_000_000
 
@@ -19,11 +22,14 @@ class MomentGenerators:
     the moment, the number of calls so far stands in for it.
 
     Args:
-        seed: of all draws; give each user of a run another one.
+        seed: of a run.
+        purpose: what the draws are for; two purposes of one seed share no numbers.
     """
 
-    def __init__(self, seed: int) -> None:
-        self.seed = seed
+    def __init__(self, seed: int, *, purpose: str) -> None:
+        if seed < 0:
+            raise ConfigError(f"seed={seed} of {purpose}: give 0 or more.")
+        self._key = (seed, zlib.crc32(purpose.encode()))
         self._calls = 0
 
     def __call__(self, tensordict: TensorDictBase) -> list[np.random.Generator]:
@@ -32,8 +38,8 @@ class MomentGenerators:
         n = tensordict.batch_size.numel()
         if any(row is None for row in rows):
             self._calls += 1
-            return [np.random.default_rng((self.seed, self._calls, i)) for i in range(n)]
+            return [np.random.default_rng((*self._key, self._calls, i)) for i in range(n)]
         world, episode, time_left = (row.reshape(n).cpu() for row in rows)
         ticks = (time_left * _TICKS).round().long()
         streams = torch.stack((world, episode.clamp_min(0), ticks.clamp_min(0)), dim=-1).tolist()
-        return [np.random.default_rng((self.seed, *stream)) for stream in streams]
+        return [np.random.default_rng((*self._key, *stream)) for stream in streams]

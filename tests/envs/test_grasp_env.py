@@ -8,7 +8,7 @@ import torch
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.envs.scene import StartPoses
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.geometry import action_to_pose, pose_to_action
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy
@@ -58,7 +58,7 @@ def test_actions_that_are_no_numbers_are_refused(value):
     env = make_env()
     action = torch.zeros(2, 6)
     action[1, 3] = value
-    with pytest.raises(ValueError, match="NaN"):
+    with pytest.raises(TorchgraspError, match="NaN"):
         env.step(env.reset().set("action", action))
 
 

@@ -53,7 +53,7 @@ def check_space(num_bytes: int, *, folder: str | Path | None = None) -> None:
     """Raise ConfigError where `num_bytes` do not fit the memory, or the disk below `folder`."""
     if folder is None:
         free, where = available_memory(), "of memory"
-        remedy = "store it on disk (storage=<folder>)"
+        remedy = "store it on disk (replay.folder=<folder>)"
     else:
         existing = next(p for p in (Path(folder).absolute(), *Path(folder).absolute().parents) if p.exists())
         free, where = shutil.disk_usage(existing).free, f"of disk below {existing}"

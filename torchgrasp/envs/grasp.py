@@ -14,7 +14,7 @@ from torchrl.envs import EnvBase
 
 from torchgrasp import keys
 from torchgrasp.envs.scene import Scene, SceneSampler, StartPoses
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.geometry import ACTION_BOUND, ACTION_SIZE, action_to_pose
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.camera import RaycastCamera
@@ -177,7 +177,7 @@ class GraspEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict.get(keys.ACTION).detach().to("cpu", torch.float64)
         if not bool(torch.isfinite(action).all()):
-            raise ValueError(
+            raise TorchgraspError(
                 "GraspEnv was given an action with NaN or infinity: look at the policy's output."
             )
         rows = self._rows(tensordict, "_step")

@@ -86,7 +86,7 @@ class DecayingUniformNoise(TensorDictModuleBase):
         self.register_buffer("end", torch.tensor(tuple(end)))
         self.register_buffer("bound", bound_tensor(action_bound))
         self.register_buffer("steps", torch.zeros((), dtype=torch.long))
-        self._generators = MomentGenerators(seed)
+        self._generators = MomentGenerators(seed, purpose="DecayingUniformNoise")
 
     @property
     def half_range(self) -> Tensor:

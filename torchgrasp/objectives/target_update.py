@@ -48,6 +48,14 @@ class StaggeredTargetUpdate(TargetNetUpdater):
         self.tau, self.period, self.counter = tau, period, 0
 
     @torch.no_grad()
+    def copy(self) -> None:
+        """Set every target to its source: for networks that were trained by other means meanwhile."""
+        loss = self.loss_module
+        followed, copied = _critic_targets(loss)
+        for pair in ((loss.actor_network_params, loss.target_actor_network_params), followed, *copied):
+            _blend(*pair, 1.0)
+
+    @torch.no_grad()
     def step(self) -> None:
         """Follow with the soft targets and, every `period` calls, copy into the others."""
         self.counter += 1

@@ -10,7 +10,7 @@ from torchgrasp.objects.model import GraspObject, content_hash
 from torchgrasp.objects.resting import resting_poses
 from torchgrasp.objects.solids import Solid, mass_properties
 
-BUILD_VERSION = 3  # part of every cache file's name: raise it when the same input gives another object
+BUILD_VERSION = 4  # part of every cache file's name: raise it when the same input gives another object
 
 
 def build_object(

@@ -20,6 +20,7 @@ from torchgrasp.objects.surface import RayTarget, depth_in_parts, face_normals, 
 Array = NDArray[np.float64]
 
 MAX_WIDTH = 0.075
+_AMPLE_ROOM = 0.03  # metres that the open fingers have to spare
 MAX_TILT = 0.3  # radians between a contact's normal and the closing axis
 MIN_COVERAGE = 0.3  # share of a pad that meets the object within PAD_DEPTH of its first contact
 PAD_DEPTH = 0.003
@@ -149,14 +150,15 @@ def _centred(poses: Array, target: RayTarget, vertices: Array, faces: NDArray) -
     good = (coverage > MIN_COVERAGE) & (tilt < MAX_TILT) & (width > MIN_WIDTH) & (width < MAX_WIDTH)
     moved = poses[good]
     moved[:, :3, 3] += moved[:, :3, 1] * (gap[good, 1:] - gap[good, :1]) / 2
-    return GraspCandidates(moved, _quality(moved, coverage[good], tilt[good]))
+    return GraspCandidates(moved, _quality(moved, coverage[good], tilt[good], width[good]))
 
 
-def _quality(poses: Array, coverage: Array, tilt: Array) -> Array:
-    """[0, 1]: covered pads, square contacts, and a closing point near the centre of mass."""
+def _quality(poses: Array, coverage: Array, tilt: Array, width: Array) -> Array:
+    """[0, 1]: covered pads, square contacts, a closing point near the centre of mass, room for error."""
     centre = poses[:, :3, 3] + PAD_CENTRE * poses[:, :3, 2]
     near = np.exp(-np.linalg.norm(centre, axis=1) / 0.05)
-    return 0.4 * coverage + 0.3 * (1 - tilt / MAX_TILT) + 0.3 * near
+    room = np.clip((MAX_OPENING - width) / _AMPLE_ROOM, 0.0, 1.0)
+    return 0.25 * coverage + 0.2 * (1 - tilt / MAX_TILT) + 0.2 * near + 0.35 * room
 
 
 def _spread(pool: GraspCandidates, count: int, resting: Array) -> NDArray[np.int64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -45,7 +46,7 @@ class Disturb(TensorDictModuleBase):
         check_range("disturb.until", until, 0.0, 1.0)
         self.probability, self.until = probability, until
         self._range = np.array([translation] * 3 + [rotation] * 3)
-        self._generators = MomentGenerators(seed)
+        self._generators = MomentGenerators(seed, purpose="Disturb")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Change ACTION (*, 6) and write PERTURBED (*, 1)."""
@@ -83,7 +84,7 @@ class ExpertStart(TensorDictModuleBase):
         ]
         self.out_keys = [keys.ACTION]
         self.horizon, self.probability, self.max_steps = horizon, probability, max_steps
-        self.seed = seed
+        self._key = (seed, zlib.crc32(b"ExpertStart"))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Put EXPERT_ACTION (*, 6) in the place of ACTION where it is the expert's turn."""
@@ -98,7 +99,7 @@ class ExpertStart(TensorDictModuleBase):
 
     def _steps(self, world: int, episode: int) -> int:
         """How many steps the expert acts in this episode."""
-        rng = np.random.default_rng((self.seed, world, episode))
+        rng = np.random.default_rng((*self._key, world, episode))
         return int(rng.integers(1, self.max_steps + 1)) if rng.random() < self.probability else 0
 
 
@@ -115,7 +116,7 @@ class RandomAction(TensorDictModuleBase):
         self.in_keys = [keys.WORLD, keys.EPISODE, keys.TIME_LEFT]
         self.out_keys = [keys.ACTION]
         self._bound = np.array(action_bound)
-        self._generators = MomentGenerators(seed)
+        self._generators = MomentGenerators(seed, purpose="RandomAction")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ACTION (*, 6)."""

@@ -27,7 +27,7 @@ class Funnel:
         arrive: share of the horizon after which the hand is at the grasp.
         align: share of the horizon after which the rotation is done.
         settle: steps that what is left is spread over once its time has come, so that late labels
-            stay small and a late hand still arrives; at least 1.
+            stay small and a late hand still arrives; the last step makes up for all that is left.
         retreat: metres a remaining step that the hand may still back off: late labels stay small.
         max_translation, max_rotation: of one step, so that actions stay inside their bounds.
     """
@@ -68,8 +68,9 @@ class Funnel:
         angle = np.linalg.norm(turn, axis=-1)
 
         late = steps_left - 1
-        steps = np.maximum(self.settle, steps_left - np.floor((1 - self.arrive) * horizon))
-        steps_turning = np.maximum(self.settle, steps_left - np.floor((1 - self.align) * horizon))
+        least = np.minimum(self.settle, steps_left)
+        steps = np.maximum(least, steps_left - np.floor((1 - self.arrive) * horizon))
+        steps_turning = np.maximum(least, steps_left - np.floor((1 - self.align) * horizon))
         position = self._move(position, angle, steps, late)
         share = np.minimum(1.0 / steps_turning, self.max_rotation / np.maximum(angle, 1e-9))
         rotation = Rotation.from_rotvec(turn * (1 - share)[:, None]).as_matrix()

@@ -72,7 +72,7 @@ class GraspPlanner:
     """
 
     funnel: Funnel = field(default_factory=Funnel)
-    quality_weight: float = 0.08
+    quality_weight: float = 0.1
     clearance: float = 0.03
     clearance_weight: float = 2.0
     max_reached: int = 48

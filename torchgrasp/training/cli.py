@@ -32,5 +32,5 @@ def one_line_errors() -> Iterator[None]:
 def find_cause(error: BaseException | None) -> TorchgraspError | None:
     """The TorchgraspError in an error's chain of causes, as under Hydra's InstantiationException."""
     while error is not None and not isinstance(error, TorchgraspError):
-        error = error.__cause__ or error.__context__
+        error = error.__cause__
     return error

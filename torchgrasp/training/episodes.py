@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import pickle
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from typing import Any
 
 import torch
@@ -85,15 +88,15 @@ class EpisodePool:
                 yield self._runner.run(env, policy, number, explore)
             return
         packed = pickle.dumps(policy)
-        waiting: list[Future] = [self._executor.submit(_work, env, packed, n, explore) for n in numbers]
-        for future in waiting:
-            try:
+        try:
+            waiting: list[Future] = [self._executor.submit(_work, env, packed, n, explore) for n in numbers]
+            for future in waiting:
                 yield pickle.loads(future.result())
-            except BrokenProcessPool as error:
-                raise TorchgraspError(
-                    f"One of {self._num_workers} worker processes died, killed or out of memory: lower "
-                    "collector.num_workers or env.num_envs, then go on with resume=<run dir>."
-                ) from error
+        except BrokenProcessPool as error:
+            raise TorchgraspError(
+                f"One of {self._num_workers} worker processes died, killed or out of memory: lower "
+                "collector.num_workers or env.num_envs, then go on with resume=<run dir>."
+            ) from error
 
     def close(self) -> None:
         """End the workers."""
@@ -146,6 +149,15 @@ def _start_worker(runner: _Runner) -> None:
     global _runner
     torch.set_num_threads(1)
     _runner = runner
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for work for ever."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 def _work(env: str, policy: bytes, number: int, explore: bool) -> bytes:

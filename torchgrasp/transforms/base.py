@@ -26,7 +26,7 @@ class PointTransform(Transform):
 
     def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._generators = MomentGenerators(seed)
+        self._generators = MomentGenerators(seed, purpose=type(self).__name__)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Transform the tensordict and, where there is one, its "next"."""

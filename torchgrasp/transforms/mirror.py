@@ -16,8 +16,8 @@ class RandomMirror(Transform):
     """Reflects sampled transitions in the hand's x, y, both or neither, each drawn with a half.
 
     The hand looks the same in the mirror of either plane, so a reflected cloud with reflected labels is
-    a state and label as good as the first. The wrist camera, 3.6 cm off the axis, is the one thing that
-    tells them apart. Use it in a replay buffer; state and next state get the same reflection.
+    a state and label as good as the first, but for the wrist camera, 3.6 cm off the axis, and for what
+    the arm can reach. Use it in a replay buffer; state and next state get the same reflection.
 
     Args:
         point_keys: clouds (*, N, C), xyz first.

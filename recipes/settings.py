@@ -1,0 +1,131 @@
+"""Configurations: checked before anything is written, taken up by resume, brought along by weights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from torchgrasp.errors import CheckpointError, ConfigError, check_range
+from torchgrasp.training import load_weights, make_run_dir
+
+# config.yaml is resolved, for readers; this one keeps its references, so that a change reaches all.
+_UNRESOLVED = ".config_unresolved.yaml"
+_AT_LEAST = {
+    "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0, "pretrain.batch_size": 1,
+    "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
+    "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
+    "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1,
+}  # fmt: skip
+
+
+def check_values(cfg: DictConfig) -> None:
+    """Refuse numbers that no recipe can work with, and what was left out."""
+    missing = sorted(OmegaConf.missing_keys(cfg))
+    if missing:
+        raise ConfigError(f"{', '.join(missing)} must be given, as {missing[0]}=... on the command line.")
+    for name, low in _AT_LEAST.items():
+        value = OmegaConf.select(cfg, name)
+        if value is not None:
+            check_range(name, value, low, float("inf"))
+    for name in OmegaConf.select(cfg, "evaluation.baselines") or ():
+        if name not in ("expert", "random"):
+            raise ConfigError(f"evaluation.baselines names {name!r}: choose from expert and random.")
+
+
+def resumed(cfg: DictConfig) -> DictConfig:
+    """The configuration itself, or with `resume` that of the run resumed, changed by what was given."""
+    if cfg.resume is not None:
+        stored = _read(Path(cfg.resume) / _UNRESOLVED, f"resume={cfg.resume}")
+        cfg = _merge(stored, _given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
+    check_values(cfg)
+    return cfg
+
+
+def open_run(cfg: DictConfig, recipe: str) -> Path:
+    """The directory of the run that `resume` names, or a new one with the configuration in it."""
+    if cfg.get("resume") is not None:
+        return Path(cfg.resume)
+    run_dir = make_run_dir(recipe, root=cfg.output_dir)
+    OmegaConf.save(cfg, run_dir / "config.yaml", resolve=True)
+    OmegaConf.save(cfg, run_dir / _UNRESOLVED)
+    return run_dir
+
+
+def for_evaluation(cfg: DictConfig) -> DictConfig:
+    """The configuration of recipes/evaluate.py: what a trained policy brings along, then what was given."""
+    if cfg.protocol != "static":
+        raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give static.")
+    check_values(cfg)
+    path = Path(str(cfg.policy))
+    if path.exists():
+        brought = load_weights(weights_file(path))[1]
+        _check_targets(brought, list(cfg.trust))
+        kept = {name: brought[name] for name in ("model", "camera", "transforms")}
+        given = _given_values(f"policy={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
+        plain = {key: value for key, value in cfg.items() if key not in kept}
+        cfg = _merge(plain, {**kept, "env": {"horizon": brought["env"]["horizon"]}}, given)
+    # objects.split=... and objects.num_objects=... say which objects, as everywhere.
+    tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    chosen = {name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in str(tasks)}
+    own = {"episodes": cfg.episodes, "seed": cfg.seed}
+    return _merge(cfg, {"evaluation": {**own, **chosen}})
+
+
+def weights_file(path: Path) -> Path:
+    """The weights of a run directory, or the file itself."""
+    return path / "weights.safetensors" if path.is_dir() else path
+
+
+def _merge(*parts: Any) -> DictConfig:
+    merged: Any = OmegaConf.merge(*parts)
+    return merged
+
+
+def _read(file: Path, option: str) -> DictConfig:
+    if not file.is_file():
+        raise CheckpointError(f"{option} is no run directory of td3_bc ({file.name} is not in it).")
+    try:
+        stored: Any = OmegaConf.load(file)
+    except (yaml.YAMLError, OmegaConfBaseException, OSError) as error:
+        raise CheckpointError(f"{file} cannot be read ({error}): restore it from a copy.") from error
+    if not isinstance(stored, DictConfig) or "pretrain" not in stored:
+        raise CheckpointError(f"{option} is no run directory of td3_bc: {file} is of another kind.")
+    return stored
+
+
+def _given_values(option: str, *, fixed: tuple[str, ...] = ()) -> DictConfig:
+    """The plain values of the command line, nested ones alone where some parts of the whole are `fixed`.
+
+    Choices of groups, additions and deletions do not go with `option`, nor do values of fixed parts.
+    """
+    if not HydraConfig.initialized():
+        return OmegaConf.create({})
+    hydra = HydraConfig.get()
+    given = {each: each.split("=")[0] for each in hydra.overrides.task}
+    groups = set(fixed) if fixed else set(hydra.runtime.choices)
+    refused = [each for each, name in given.items() if each[0] in "~+" or name in groups]
+    refused += [each for each, name in given.items() if "." in name and name.split(".")[0] in fixed]
+    if refused:
+        raise ConfigError(f"{option} does not go with {', '.join(refused)}: give other plain values alone.")
+    plain = [each for each, name in given.items() if name != "resume" and ("." in name or not fixed)]
+    return OmegaConf.from_dotlist(plain)
+
+
+def _check_targets(config: Any, trusted: list[str]) -> None:
+    """Refuse classes of packages that a weights file names and nobody vouches for."""
+    allowed = ("torchgrasp", "torchrl", *trusted)
+    if isinstance(config, dict):
+        target = config.get("_target_")
+        if target is not None and str(target).split(".")[0] not in allowed:
+            raise ConfigError(
+                f"The weights name the class {target}, which could run anything: if you know where they come "
+                f"from, add trust=[{str(target).split('.')[0]}]."
+            )
+        config = list(config.values())
+    for each in config if isinstance(config, list) else ():
+        _check_targets(each, trusted)
