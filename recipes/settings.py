@@ -25,6 +25,7 @@ _AT_LEAST = {
 
 def check_values(cfg: DictConfig) -> None:
     """Refuse numbers that no recipe can work with, and what was left out."""
+    cfg = _merge(OmegaConf.to_container(cfg))  # a plain copy, in which a key may be absent
     missing = sorted(OmegaConf.missing_keys(cfg))
     if missing:
         raise ConfigError(f"{', '.join(missing)} must be given, as {missing[0]}=... on the command line.")
@@ -58,10 +59,11 @@ def open_run(cfg: DictConfig, recipe: str) -> Path:
 
 def for_evaluation(cfg: DictConfig) -> DictConfig:
     """The configuration of recipes/evaluate.py: what a trained policy brings along, then what was given."""
+    cfg = _merge(OmegaConf.to_container(cfg))
     if cfg.protocol != "static":
         raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give static.")
+    path = Path(str(OmegaConf.select(cfg, "policy")))
     check_values(cfg)
-    path = Path(str(cfg.policy))
     if path.exists():
         brought = load_weights(weights_file(path))[1]
         _check_targets(brought, list(cfg.trust))

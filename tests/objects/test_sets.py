@@ -84,14 +84,12 @@ def test_two_processes_at_once_leave_whole_files(tmp_path):
     assert len(list(tmp_path.iterdir())) == 3  # no partial file is left
 
 
-def test_prepare_builds_in_processes_what_this_process_would(tmp_path, capsys):
+def test_prepare_builds_in_processes_what_this_process_would(tmp_path):
     pair = [
         ProceduralObjects("val", num_objects=2, num_grasps=100, cache_dir=tmp_path / place) for place in "ab"
     ]
     pair[0].prepare(workers=2)
-    assert "building objects" in capsys.readouterr().err
     pair[1].prepare(progress=False)
-    assert capsys.readouterr().err == ""
     names = [sorted(file.name for file in (tmp_path / place).iterdir()) for place in "ab"]
     assert names[0] == names[1] and len(names[0]) == 2
     assert [item.content_hash for item in pair[0]] == [item.content_hash for item in pair[1]]

@@ -41,9 +41,8 @@ def test_every_environment_passes_check_env_specs(composed, meshes, env, objects
 @pytest.mark.parametrize("loss", choices("loss"))
 def test_every_learner_builds(composed, experiment, model, loss):
     cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25")
-    cfg.replay.online_capacity = cfg.demonstrations.steps = 100
-    learner = Learner(cfg)
-    assert learner.loss.bc_weight == cfg.loss.bc_weight
+    learner = Learner(cfg, num_points=cfg.transforms.sample.num_points)
+    assert learner.loss.bc_weight == {"bc": 1.0, "td3_bc": 0.2, "td3_bc_laptop": 0.98}[loss]
     assert learner.targets.period == cfg.online.period
 
 
