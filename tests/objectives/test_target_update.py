@@ -38,6 +38,17 @@ def test_copies_are_copies(constant_actor, constant_critic):
     assert not loss.target_delayed_critic_network_params[NAME].any()
 
 
+def test_copy_sets_every_target(constant_actor, constant_critic):
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)))
+    updater = StaggeredTargetUpdate(loss, tau=0.1, period=3)
+    _shift(loss.critic_network_params, 2.0)
+    _shift(loss.actor_network_params, 2.0)
+    updater.copy()
+    for target in ("actor", "critic", "delayed_critic"):
+        assert (getattr(loss, f"target_{target}_network_params")[NAME] == 2.0).all()
+    assert updater.counter == 0
+
+
 def test_in_a_list_the_first_follows_and_the_others_are_copied(constant_actor, constant_critic):
     critics = [constant_critic((0.0,)) for _ in range(3)]
     loss = GraspTD3BCLoss(constant_actor(), critics)

@@ -54,10 +54,11 @@ def test_a_run_leaves_its_record(finished_run):
     } <= set(rows[0])
 
 
-@pytest.mark.parametrize("kill_at", [8, 15])
-def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at):
+@pytest.mark.parametrize(("kill_at", "overrides"), [(0, []), (8, []), (15, ["collector.num_workers=1"])])
+def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at, overrides):
+    """Killed at the first checkpoint (0: while it imitates) or at a gradient step, with and without workers."""
     process = subprocess.Popen(
-        command("td3_bc", tmp_path, "experiment=smoke"),
+        command("td3_bc", tmp_path, "experiment=smoke", *overrides),
         env=environment(),
         start_new_session=True,
         stdout=subprocess.DEVNULL,
@@ -85,11 +86,59 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at)
 def _wait_for_step(root: Path, step: int, process: subprocess.Popen) -> Path:
     deadline = time.monotonic() + 240
     while time.monotonic() < deadline and process.poll() is None:
-        runs = [*root.glob("td3_bc/*/metrics.csv")]
-        if runs and any(int(row["step"]) >= step for row in read_metrics(runs[0].parent) if row["step"]):
-            return runs[0].parent
+        for run_dir in root.glob("td3_bc/*"):
+            if step == 0 and (run_dir / "checkpoint").exists():
+                return run_dir
+            rows = read_metrics(run_dir) if step and (run_dir / "metrics.csv").exists() else []
+            if any(int(row["step"]) >= step for row in rows if row["step"]):
+                return run_dir
         time.sleep(0.02)
     raise AssertionError(f"no step {step} before the run ended with {process.poll()}")
+
+
+def test_a_killed_run_leaves_no_worker_behind(tmp_path):
+    process = subprocess.Popen(
+        command("td3_bc", tmp_path, "experiment=smoke", "collector.num_workers=1"),
+        env={**environment(), "TORCHGRASP_TEST_MARK": str(tmp_path)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    _wait_for_step(tmp_path, 0, process)
+    process.kill()
+    process.wait()
+    deadline = time.monotonic() + 20
+    while _marked(str(tmp_path)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not _marked(str(tmp_path))
+
+
+def _marked(mark: str) -> list[str]:
+    """Processes that carry the mark in their environment."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if f"TORCHGRASP_TEST_MARK={mark}".encode() in entry.read_bytes():
+                found.append(entry.parent.name)
+        except OSError:
+            continue
+    return found
+
+
+def test_demonstrations_of_another_configuration_are_refused(finished_run, run_recipe):
+    given = [f"demonstrations.path={finished_run / 'demonstrations'}", "experiment=smoke"]
+    code, _, err = run_recipe("td3_bc", *given, "transforms.sample.num_points=40")
+    assert code == 1 and "transforms" in err and "Traceback" not in err
+    code, _, err = run_recipe("collect", *given, "seed=1")
+    assert code == 1 and "seed" in err and "Traceback" not in err
+
+
+def test_a_trained_policy_brings_its_network_and_transforms_along(finished_run, run_recipe):
+    given = [f"policy={finished_run}", "episodes=2", "collector.num_workers=0", "objects.num_objects=2"]
+    code, out, err = run_recipe("evaluate", *given, "objects.num_grasps=100")
+    assert code == 0, err
+    assert "2 scenes of the test split" in out
+    code, _, err = run_recipe("evaluate", *given, "transforms=single_view")
+    assert code == 1 and "transforms" in err and "Traceback" not in err
 
 
 def test_resume_from_a_truncated_checkpoint_is_refused(finished_run, tmp_path, run_recipe):
