@@ -56,7 +56,7 @@ def test_a_run_leaves_its_record(finished_run):
 
 @pytest.mark.parametrize(("kill_at", "overrides"), [(0, []), (8, []), (15, ["collector.num_workers=1"])])
 def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at, overrides):
-    """Killed at the first checkpoint (0: while it imitates) or at a gradient step, with and without workers."""
+    """Killed at the first checkpoint (0, while it imitates) or at a gradient step; also with a worker."""
     process = subprocess.Popen(
         command("td3_bc", tmp_path, "experiment=smoke", *overrides),
         env=environment(),
