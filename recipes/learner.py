@@ -139,7 +139,7 @@ class Learner:
         losses = [value for key, value in terms.items() if str(key).startswith("loss_")]
         torch.stack(losses).sum().backward()
         optimizer.step()
-        return {f"{name}/{key}": float(value) for key, value in terms.items()}
+        return {f"{name}/{key}": value.item() for key, value in terms.items()}
 
     def set_rates(self, progress: float) -> None:
         """The piecewise schedule of the online phase (Sec. 6.4); `progress` in [0, 1]."""
