@@ -10,7 +10,7 @@ from sapien import physx
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+from torchgrasp.sim import CameraIntrinsics, RaycastCamera, View
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.panda import Panda
 
@@ -86,9 +86,16 @@ def pose_at(x: float, y: float, z: float, *, down: bool = False) -> np.ndarray:
     return pose @ np.diag([1.0, -1.0, -1.0, 1.0]) if down else pose
 
 
+def look(camera, target, T_base_ee, T_base_object, fingers) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and mask of one picture."""
+    joints = np.concatenate((kin.READY_POSTURE, fingers))
+    picture = camera.observe(View(target, T_base_object, joints, T_base_ee))
+    return picture["depth"], picture["mask"]
+
+
 def agree(camera, target, T_base_ee, T_base_object, fingers=OPEN) -> tuple[np.ndarray, np.ndarray]:
     """The picture, after a check that the reference agrees on all but grazing pixels."""
-    depth, mask = camera.observe(target, T_base_ee, T_base_object, fingers)
+    depth, mask = look(camera, target, T_base_ee, T_base_object, fingers)
     expected, expected_mask = reference(camera, target, T_base_ee, T_base_object, fingers)
     assert depth.dtype == np.float32 and mask.dtype == bool
     assert depth.shape == mask.shape == (camera.intrinsics.height, camera.intrinsics.width)
@@ -155,10 +162,10 @@ def test_fingers_hide_what_is_behind_them(brick):
 def test_fingers_are_seen_at_any_opening_met_before_or_not(brick):
     camera = RaycastCamera(CameraIntrinsics(24, 24))
     hand = pose_at(0.5, 0.0, 0.6, down=True)
-    first = camera.observe(brick, hand, FAR_AWAY, OPEN)[0]
+    first = look(camera, brick, hand, FAR_AWAY, OPEN)[0]
     for opening in np.linspace(0.0, 0.04, 100):
-        camera.observe(brick, hand, FAR_AWAY, np.array([opening, opening]))
-    assert np.array_equal(camera.observe(brick, hand, FAR_AWAY, OPEN)[0], first)
+        look(camera, brick, hand, FAR_AWAY, np.array([opening, opening]))
+    assert np.array_equal(look(camera, brick, hand, FAR_AWAY, OPEN)[0], first)
 
 
 def test_nothing_is_seen_nearer_than_near_or_beyond_far(brick):
@@ -193,8 +200,8 @@ def test_the_window_misses_no_pixel(brick):
         where = hand @ pose_at(*rng.uniform((-0.4, -0.4, -0.1), (0.4, 0.4, 0.6)))
         where[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         where[:3, 0] *= np.linalg.det(where[:3, :3])
-        cut = RaycastCamera(intrinsics).observe(brick, hand, where, OPEN)
-        full = Everywhere(intrinsics).observe(brick, hand, where, OPEN)
+        cut = look(RaycastCamera(intrinsics), brick, hand, where, OPEN)
+        full = look(Everywhere(intrinsics), brick, hand, where, OPEN)
         assert np.array_equal(cut[0], full[0]) and np.array_equal(cut[1], full[1])
         seen += cut[1].any()
     assert seen > 10
@@ -204,7 +211,7 @@ def test_two_objects_of_one_name_are_told_apart(brick, can):
     camera = RaycastCamera(CameraIntrinsics(16, 16))
     hand = pose_at(0.5, 0.0, 0.5, down=True)
     pictures = [
-        camera.observe(replace(o, name="x"), hand, hand @ pose_at(0, 0, 0.3), OPEN)[0] for o in (brick, can)
+        look(camera, replace(o, name="x"), hand, hand @ pose_at(0, 0, 0.3), OPEN)[0] for o in (brick, can)
     ]
     assert not np.array_equal(*pictures)
 

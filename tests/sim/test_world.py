@@ -142,8 +142,8 @@ def test_an_episode_depends_on_nothing_that_was_simulated_before(brick, can):
             goal = worlds.T_base_ee.copy()
             goal[row] = goal[row] @ pose_at(0.002, 0.03, 0.01)
             worlds.drive_to_pose(goal, [row])
-            depth, mask = worlds.observe()
-            out += [worlds.joints[row], worlds.T_base_object[row], depth[row], mask[row]]
+            pictures = worlds.observe()
+            out += [worlds.joints[row], worlds.T_base_object[row], *(each[row] for each in pictures.values())]
         return [*out, worlds.close_and_lift([row])]
 
     alone = make_worlds(1)
@@ -170,7 +170,7 @@ def test_worlds_that_are_not_named_stand_still(brick):
 def test_reads_are_copies(brick):
     worlds = make_worlds(1)
     worlds.place(0, brick, pose_at(0.5, 0.3, 0.04), READY)
-    reads = [worlds.joints, worlds.T_base_ee, worlds.T_base_object, *worlds.observe()]
+    reads = [worlds.joints, worlds.T_base_ee, worlds.T_base_object, *worlds.observe().values()]
     kept = [read.copy() for read in reads]
     worlds.drive_to_pose(worlds.T_base_ee @ pose_at(0.02, 0, 0.02), [0])
     worlds.observe()

@@ -17,7 +17,7 @@ from torchgrasp.envs.scene import Scene, SceneSampler, StartPoses
 from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.geometry import ACTION_BOUND, ACTION_SIZE, action_to_pose
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.sim.camera import RaycastCamera
+from torchgrasp.sim import Camera, RaycastCamera
 from torchgrasp.sim.world import Physics
 from torchgrasp.sim.worlds import Worlds
 
@@ -63,7 +63,7 @@ class GraspEnv(EnvBase):
         num_envs: int = 1,
         *,
         objects: Sequence[GraspObject],
-        camera: RaycastCamera | None = None,
+        camera: Camera | None = None,
         horizon: int = 30,
         start: StartPoses | None = None,
         physics: Physics | None = None,
@@ -206,19 +206,19 @@ class GraspEnv(EnvBase):
     def _observation(self) -> TensorDict:
         """Everything that can be seen, as fresh tensors that no later step writes to."""
         worlds = self.worlds
-        depth, mask = worlds.observe()
+        pictures = worlds.observe()
         T_base_ee = worlds.T_base_ee
         arrays = {
             keys.T_BASE_EE: T_base_ee,
-            keys.T_BASE_CAMERA: T_base_ee @ worlds.camera.T_ee_camera,
+            keys.T_BASE_CAMERA: worlds.camera.pose(T_base_ee),
             keys.T_BASE_OBJECT: worlds.T_base_object,
             keys.JOINTS: worlds.joints,
             keys.JOINT_VELOCITIES: worlds.joint_velocities,
             keys.TIME_LEFT: (1.0 - self._steps / self.horizon)[:, None],
         }
         out = TensorDict({}, batch_size=self.batch_size, device=self.device)
-        out.set(keys.DEPTH, torch.from_numpy(depth))
-        out.set(keys.MASK, torch.from_numpy(mask))
+        for channel, picture in pictures.items():
+            out.set(("camera", channel), torch.from_numpy(picture))
         for key, array in arrays.items():
             out.set(key, torch.from_numpy(array.astype(np.float32)))
         out.set(keys.OBJECT_ID, torch.from_numpy(self._object_ids[:, None].copy()))

@@ -1,24 +1,40 @@
-"""The wrist camera by ray casting: depth and target mask without Vulkan or a display."""
+"""What a camera is: intrinsics, a mount, and pictures as a function of a world's state."""
 
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.sim.panda_tables import hand_boxes
-from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 
 # Released code: the camera sits at (0.036, 0, 0.036) of the hand and looks along the hand's z.
 # OpenCV axes: x right = hand y, y down = hand -x, z forward = hand z.
 T_EE_CAMERA = np.array(
     [[0.0, -1.0, 0.0, 0.036], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.036], [0.0, 0.0, 0.0, 1.0]]
 )
+
+
+@dataclass(frozen=True)
+class View:
+    """The state of one world as far as a camera sees it.
+
+    Attributes:
+        target: the object whose pixels the mask marks.
+        T_base_object: (4, 4) its pose.
+        joints: (9,) arm angles (rad) and finger positions (m).
+        T_base_ee: (4, 4) hand pose, which follows from the joints.
+        appearance: seed of the episode's textures and light; cameras without colour ignore it.
+    """
+
+    target: GraspObject
+    T_base_object: np.ndarray
+    joints: np.ndarray
+    T_base_ee: np.ndarray
+    appearance: int = 0
 
 
 @dataclass(frozen=True)
@@ -62,134 +78,44 @@ class CameraIntrinsics:
         )
 
 
-class RaycastCamera:
-    """Depth and target mask of the wrist camera, by Embree for the target, in closed form for the rest.
+class Camera(ABC):
+    """A camera on the wrist or, with `T_base_camera`, one that stands still.
 
-    The target, the table and the robot's own fingers and hand are seen and hide each other.
+    Pictures depend on the view alone, never on what was seen before: a camera is shared by worlds and
+    may be built anew in every process.
 
     Args:
         intrinsics: picture size, field of view and range.
         T_ee_camera: (4, 4) pose of the camera in the hand frame.
+        T_base_camera: (4, 4) pose of a static camera in the base frame, which takes the place of the
+            former.
     """
 
+    #: Pictures that `observe` gives: "depth" and "mask", and "rgb" from cameras that render.
+    channels: tuple[str, ...] = ("depth", "mask")
+
     def __init__(
-        self, intrinsics: CameraIntrinsics | None = None, *, T_ee_camera: np.ndarray = T_EE_CAMERA
+        self,
+        intrinsics: CameraIntrinsics | None = None,
+        *,
+        T_ee_camera: np.ndarray = T_EE_CAMERA,
+        T_base_camera: np.ndarray | None = None,
     ) -> None:
         self.intrinsics = intrinsics or CameraIntrinsics()
         self.T_ee_camera = np.asarray(T_ee_camera, dtype=np.float64)
-        self._hand_depths: dict[tuple[float, ...], np.ndarray] = {}
+        self.T_base_camera = None if T_base_camera is None else np.asarray(T_base_camera, dtype=np.float64)
 
-    def observe(
-        self, target: GraspObject, T_base_ee: np.ndarray, T_base_object: np.ndarray, fingers: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """One picture.
+    def pose(self, T_base_ee: np.ndarray) -> np.ndarray:
+        """(*, 4, 4) hand poses to the (*, 4, 4) camera poses T_base_camera."""
+        if self.T_base_camera is not None:
+            return np.broadcast_to(self.T_base_camera, T_base_ee.shape).copy()
+        return T_base_ee @ self.T_ee_camera
 
-        Args:
-            target: the object whose pixels the mask marks.
-            T_base_ee: (4, 4) hand pose.
-            T_base_object: (4, 4) pose of the target.
-            fingers: (2,) finger positions in metres.
+    @abstractmethod
+    def observe(self, view: View) -> dict[str, np.ndarray]:
+        """One picture of each channel.
 
         Returns:
-            (H, W) float32 depth along the camera's z in metres, 0 where nothing is seen, and the
-            (H, W) bool mask of the target.
+            ``depth``, (H, W) float32 along the camera's z in metres, 0 where nothing is seen; ``mask``,
+            (H, W) bool, the target's pixels; ``rgb``, (H, W, 3) uint8, from cameras that render.
         """
-        T_base_camera = T_base_ee @ self.T_ee_camera
-        depth = np.minimum(self._cast_table(T_base_camera), self._hand_depth(fingers))
-        seen = self._cast_target(target, np.linalg.solve(T_base_object, T_base_camera))
-        mask = seen < depth
-        depth = np.where(mask, seen, depth)
-        depth[depth > self.intrinsics.far] = 0.0
-        mask &= depth > 0.0
-        shape = (self.intrinsics.height, self.intrinsics.width)
-        return depth.reshape(shape), mask.reshape(shape)
-
-    def _cast_target(self, target: GraspObject, T_object_camera: np.ndarray) -> np.ndarray:
-        """(H*W,) depth of the target, inf where it is missed. Only the rays of its outline's box are cast."""
-        depth = np.full(len(self.intrinsics.rays), np.inf, dtype=np.float32)
-        window = self._window(target, T_object_camera)
-        if not len(window):
-            return depth
-        near = np.float32(self.intrinsics.near)
-        directions = self.intrinsics.rays[window] @ T_object_camera[:3, :3].T.astype(np.float32)
-        origins = T_object_camera[:3, 3].astype(np.float32) + near * directions
-        hit = embree_scene(target).scene.run(origins, directions, query="DISTANCE") + near
-        depth[window] = np.where(hit < 1e3, hit, np.inf)
-        return depth
-
-    def _window(self, target: GraspObject, T_object_camera: np.ndarray) -> np.ndarray:
-        """Indices of the pixels that the target's bounding box can cover."""
-        cam = self.intrinsics
-        lower, upper = embree_scene(target).bounds
-        corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
-        seen = (corners - T_object_camera[:3, 3]) @ T_object_camera[:3, :3]
-        if seen[:, 2].max() <= cam.near:
-            return np.empty(0, dtype=np.int64)
-        if seen[:, 2].min() <= cam.near:
-            return np.arange(len(cam.rays))
-        pixels = seen[:, :2] / seen[:, 2:] * cam.focal + (cam.width / 2, cam.height / 2)
-        u0, v0 = np.clip(np.floor(pixels.min(axis=0)), 0, (cam.width, cam.height)).astype(int)
-        u1, v1 = np.clip(np.ceil(pixels.max(axis=0)), 0, (cam.width, cam.height)).astype(int)
-        return (np.arange(v0, v1)[:, None] * cam.width + np.arange(u0, u1)).reshape(-1)
-
-    def _cast_table(self, T_base_camera: np.ndarray) -> np.ndarray:
-        """(H*W,) depth of the table's top, inf where it is missed."""
-        x, y, z = T_base_camera[:3, :3].astype(np.float32) @ self.intrinsics.rays.T
-        origin = T_base_camera[:3, 3].astype(np.float32)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = -origin[2] / z
-            hit_x, hit_y = origin[0] + depth * x, origin[1] + depth * y
-        seen = (depth > self.intrinsics.near) & (hit_x >= TABLE_LOWER[0]) & (hit_x <= TABLE_UPPER[0])
-        seen &= (hit_y >= TABLE_LOWER[1]) & (hit_y <= TABLE_UPPER[1])
-        depth[~seen] = np.inf
-        return depth
-
-    def _hand_depth(self, fingers: np.ndarray) -> np.ndarray:
-        """(H*W,) depth of hand and fingers; kept for the openings met, to a tenth of a millimetre."""
-        opening = tuple(np.round(fingers, 4).tolist())
-        if opening not in self._hand_depths:
-            if len(self._hand_depths) >= 64:
-                self._hand_depths.clear()
-            self._hand_depths[opening] = self._cast_hand(*opening)
-        return self._hand_depths[opening]
-
-    def _cast_hand(self, left: float, right: float) -> np.ndarray:
-        """(H*W,) depth of hand and fingers, which stand still before the camera at one opening."""
-        depth = np.full(len(self.intrinsics.rays), np.inf)
-        for T_ee_box, size in hand_boxes(left, right):
-            T_box_camera = np.linalg.solve(T_ee_box, self.T_ee_camera)
-            rays = self.intrinsics.rays @ T_box_camera[:3, :3].T
-            with np.errstate(divide="ignore", invalid="ignore"):
-                sides = (np.array([[-1.0], [1.0]]) * size / 2)[:, None, :] - T_box_camera[:3, 3]
-                times = sides / rays
-            enter, leave = times.min(axis=0).max(axis=-1), times.max(axis=0).min(axis=-1)
-            hit = (enter <= leave) & (leave > self.intrinsics.near)
-            # A box that reaches behind the near plane is seen from inside, as a renderer shows it.
-            seen = np.where(enter > self.intrinsics.near, enter, leave)
-            depth = np.where(hit, np.minimum(depth, seen), depth)
-        return depth.astype(np.float32)
-
-
-@dataclass(frozen=True)
-class _Surface:
-    scene: EmbreeScene
-    mesh: TriangleMesh
-    bounds: tuple[np.ndarray, np.ndarray]
-
-
-_surfaces: dict[str, _Surface] = {}
-_MAX_SURFACES = 512
-
-
-def embree_scene(target: GraspObject) -> _Surface:
-    """The target's surface, ready for rays in the object frame; the last 512 are kept."""
-    surface = _surfaces.pop(target.content_hash, None)
-    if surface is None:
-        scene = EmbreeScene()
-        vertices = np.ascontiguousarray(target.vertices, dtype=np.float32)
-        mesh = TriangleMesh(scene, vertices, np.ascontiguousarray(target.faces, dtype=np.int32))
-        surface = _Surface(scene, mesh, (vertices.min(axis=0) - 1e-4, vertices.max(axis=0) + 1e-4))
-    _surfaces[target.content_hash] = surface
-    if len(_surfaces) > _MAX_SURFACES:
-        _surfaces.pop(next(iter(_surfaces)))
-    return surface

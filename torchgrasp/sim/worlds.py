@@ -12,7 +12,7 @@ import numpy as np
 from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
-from torchgrasp.sim.camera import RaycastCamera
+from torchgrasp.sim.camera import Camera, View
 from torchgrasp.sim.world import Physics, World
 
 # Metres above the table at which the controller holds the hand's lowest corner.
@@ -28,7 +28,7 @@ class Worlds:
         camera: the wrist camera, shared.
     """
 
-    def __init__(self, num_worlds: int, *, physics: Physics, camera: RaycastCamera) -> None:
+    def __init__(self, num_worlds: int, *, physics: Physics, camera: Camera) -> None:
         self.physics = physics
         self.camera = camera
         self._worlds: list[World | None] = [None] * num_worlds
@@ -68,16 +68,15 @@ class Worlds:
         """(N, 4, 4) poses of the targets."""
         return np.stack([world.T_base_object for world in self._placed()])
 
-    def observe(self) -> tuple[np.ndarray, np.ndarray]:
-        """(N, H, W) float32 depth in metres and (N, H, W) bool target mask of the wrist cameras."""
+    def observe(self) -> dict[str, np.ndarray]:
+        """(N, H, W, ...) pictures of the wrist cameras by channel, see `Camera.observe`."""
         joints, T_base_ee, T_base_object = self.joints, self.T_base_ee, self.T_base_object
         pictures = [
-            self.camera.observe(target, T_base_ee[i], T_base_object[i], joints[i, 7:])
+            self.camera.observe(View(target, T_base_object[i], joints[i], T_base_ee[i]))
             for i, target in enumerate(self._targets)
             if target is not None
         ]
-        depth, mask = zip(*pictures, strict=True)
-        return np.stack(depth), np.stack(mask)
+        return {channel: np.stack([each[channel] for each in pictures]) for channel in self.camera.channels}
 
     def drive_to_pose(self, T_base_ee: np.ndarray, rows: Sequence[int]) -> None:
         """One control step of the worlds `rows` towards hand poses (N, 4, 4), all N given.
