@@ -19,7 +19,6 @@ from torchrl.envs.utils import step_mdp
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
 from torchgrasp.planning import ExpertPolicy
-from torchgrasp.sim import kinematics
 from torchgrasp.training import hardware, make_run_dir, one_line_errors, versions
 
 
@@ -73,8 +72,8 @@ def benchmark_env(cfg: DictConfig) -> dict:
     run_episodes(env, expert, Clock(), cfg.episodes, base.horizon)
     clock = Clock()
     worlds = base.worlds
-    clock.wrap(worlds, "drive_to_pose", "physics: steps")
-    clock.wrap(kinematics, "track_pose", "inverse kinematics")
+    clock.wrap(worlds, "drive", "physics: steps")
+    clock.wrap(base.actions, "posture", "inverse kinematics")
     clock.wrap(worlds, "close_and_lift", "physics: closing and lifting")
     clock.wrap(worlds, "observe", "camera")
     for transform in env.transform.transforms:  # pyright: ignore[reportGeneralTypeIssues]

@@ -55,7 +55,13 @@ def transform_points(T_a_b: Tensor, points: Tensor) -> Tensor:
 
 def action_to_pose(action: Tensor) -> Tensor:
     """(*, 6) action (metres, intrinsic XYZ Euler radians) to the (*, 4, 4) relative pose T_t_t+1."""
-    return make_pose(roma.euler_to_rotmat("XYZ", action[..., 3:6]), action[..., :3])
+    (ca, cb, cc), (sa, sb, sc) = action[..., 3:6].cos().unbind(-1), action[..., 3:6].sin().unbind(-1)
+    rows = (
+        *(cb * cc, -cb * sc, sb),
+        *(ca * sc + sa * sb * cc, ca * cc - sa * sb * sc, -sa * cb),
+        *(sa * sc - ca * sb * cc, sa * cc + ca * sb * sc, ca * cb),
+    )
+    return make_pose(torch.stack(rows, dim=-1).reshape(*action.shape[:-1], 3, 3), action[..., :3])
 
 
 def pose_to_action(pose: Tensor) -> Tensor:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchgrasp.envs import GraspEnv
-from torchgrasp.envs.scene import StartPoses
+from torchgrasp.envs import GraspEnv, StartPoses
 from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.geometry import action_to_pose, pose_to_action
 from torchgrasp.objects import ProceduralObjects

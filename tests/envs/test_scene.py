@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from torchgrasp.envs.scene import SceneSampler, StartPoses, _touches
+from torchgrasp.envs import StartPoses, StaticTarget
+from torchgrasp.envs.scene import SceneSampler
+from torchgrasp.envs.starts import touches
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.objects.gripper import lowest_point
-from torchgrasp.sim import Physics
+from torchgrasp.sim import Physics, Placement
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.reach import clear_grasps, in_reach
 from torchgrasp.sim.world import World
@@ -22,7 +24,7 @@ def without_grasps(item):
 
 
 def make_sampler(objects=OBJECTS, **start) -> SceneSampler:
-    return SceneSampler(objects, physics=Physics(), start=StartPoses(**start))
+    return SceneSampler(objects, physics=Physics(), start=StartPoses(**start), motion=StaticTarget())
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,7 @@ def test_the_arm_starts_within_its_limits_and_clear_of_the_table(scenes):
 
 def test_nothing_moves_while_the_arm_waits_at_its_start(scenes):
     for scene in scenes[::4]:
-        world = World(Physics(), OBJECTS[scene.object_id], scene.T_base_object, scene.q)
+        world = World(Placement(OBJECTS[scene.object_id], scene.T_base_object, scene.q, Physics()))
         for _ in range(4):
             world.drive(scene.q)
         assert world.joints[:7] == pytest.approx(scene.q, abs=2e-3)
@@ -75,10 +77,10 @@ def test_a_hand_before_the_middle_of_a_face_without_vertices_touches_it():
     box = next(item for item in OBJECTS if item.family == "box")
     half = np.array((0.4, 0.4, 0.2), np.float32)
     crate = replace(box, vertices=box.vertices / np.abs(box.vertices).max(0) * half, content_hash="crate")
-    for gap, touches in ((0.005, True), (0.05, False)):
+    for gap, expected in ((0.005, True), (0.05, False)):
         T_base_ee = np.diag((1.0, -1.0, -1.0, 1.0))
         T_base_ee[2, 3] = 0.2 + 0.1129 + gap  # the pads end 0.1129 below the hand's origin
-        assert _touches(crate, np.eye(4), T_base_ee) == touches
+        assert touches(crate, np.eye(4), T_base_ee) == expected
 
 
 def test_objects_places_and_turns_are_spread_out(scenes):

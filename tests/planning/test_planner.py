@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from torchgrasp.envs.scene import SceneSampler, StartPoses
+from torchgrasp.envs import StartPoses, StaticTarget
+from torchgrasp.envs.scene import SceneSampler
 from torchgrasp.objectives.functional import pose_distance
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.objects.gripper import hand_blocked, lowest_point
@@ -14,6 +15,7 @@ from torchgrasp.planning import GraspPlanner, PlanStatus
 from torchgrasp.planning.planner import pose_distances
 from torchgrasp.sim import Physics
 from torchgrasp.sim import kinematics as kin
+from torchgrasp.sim.tracking import track_pose
 
 OBJECTS = ProceduralObjects("train", num_objects=4, num_grasps=100)
 READY = kin.READY_POSTURE
@@ -22,7 +24,7 @@ HORIZON = 30
 
 @pytest.fixture(scope="module")
 def scenes():
-    sampler = SceneSampler(OBJECTS, physics=Physics(), start=StartPoses())
+    sampler = SceneSampler(OBJECTS, physics=Physics(), start=StartPoses(), motion=StaticTarget())
     return [sampler.sample(0, 0, episode) for episode in range(6)]
 
 
@@ -65,7 +67,7 @@ def test_the_way_to_the_grasp_preferred_is_free_of_object_and_table(scenes):
         pose, q = start, scene.q[None]
         for t in range(HORIZON):
             pose = GraspPlanner().funnel.next_pose(pose, goal, np.array([float(HORIZON - t)]), HORIZON)
-            q, left = kin.track_pose(q, pose)
+            q, left = track_pose(q, pose)
             assert left[0] < 5e-3 and lowest_point(pose)[0] > 0
             T_object_ee = np.linalg.solve(scene.T_base_object, pose[0])[None]
             assert not hand_blocked(target.vertices, T_object_ee, approach=0.0)[0]

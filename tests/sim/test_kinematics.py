@@ -59,48 +59,10 @@ def test_pose_error_carries_one_pose_to_the_other():
     assert kin.pose_error(target, target)[0] == pytest.approx(np.zeros(6), abs=1e-12)
 
 
-def test_tracking_a_step_converges_within_the_limits():
-    q = random_postures(100, share=0.7)
-    targets = kin.forward_kinematics(q + np.random.default_rng(1).uniform(-0.1, 0.1, q.shape))
-    found, left = kin.track_pose(q, targets)
-    assert left.max() < 1e-5
-    assert np.all(found >= kin.JOINT_LOWER) and np.all(found <= kin.JOINT_UPPER)
-    error = np.abs(kin.pose_error(kin.forward_kinematics(found), targets)).max(-1)
-    assert error == pytest.approx(left, abs=1e-12)
-    assert np.median(np.abs(found - q).max(-1)) < 0.1  # smooth: no other branch of postures
-
-
-def test_a_pose_out_of_reach_is_approached_and_its_error_told():
-    q = kin.READY_POSTURE[None]
-    target = kin.forward_kinematics(q)
-    target[0, :3, 3] = (2.0, 0.0, 0.5)
-    found, left = kin.track_pose(q, target, iterations=40)
-    assert left[0] > 0.5
-    assert np.all(found >= kin.JOINT_LOWER) and np.all(found <= kin.JOINT_UPPER)
-    reach = kin.forward_kinematics(found)[0, 0, 3]
-    assert reach > kin.forward_kinematics(q)[0, 0, 3]
-
-
-def test_tracking_starts_inside_the_limits_whatever_it_is_given():
-    q = np.full((1, 7), 10.0)
-    found, _ = kin.track_pose(q, kin.forward_kinematics(kin.READY_POSTURE[None]))
-    assert np.all(found >= kin.JOINT_LOWER) and np.all(found <= kin.JOINT_UPPER)
-    assert np.all(q == 10.0)  # the argument is not written to
-
-
 def test_rows_do_not_depend_on_their_neighbours():
     q = random_postures(17)
-    targets = kin.forward_kinematics(q + 0.05)
-    together, left = kin.track_pose(q, targets)
     for i in range(len(q)):
-        alone, left_alone = kin.track_pose(q[i : i + 1], targets[i : i + 1])
-        assert np.array_equal(alone[0], together[i]) and left_alone[0] == left[i]
         assert np.array_equal(kin.link_poses(q[i : i + 1])[0], kin.link_poses(q)[i])
-
-
-def test_no_rows_are_welcome():
-    found, left = kin.track_pose(np.empty((0, 7)), np.empty((0, 4, 4)))
-    assert found.shape == (0, 7) and left.shape == (0,)
 
 
 def test_sampled_postures_reach_the_pose_within_the_limits_nearest_first():

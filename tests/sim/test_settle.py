@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.sim import Physics
+from torchgrasp.sim import Physics, Placement
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.settle import settle
 from torchgrasp.sim.world import World
@@ -18,7 +18,7 @@ def test_settled_poses_stay_still(index):
     for pose in poses[:4]:
         start = pose.copy()
         start[:2, 3] = 0.6, 0.3
-        world = World(Physics(), target, start, kin.READY_POSTURE)
+        world = World(Placement(target, start, kin.READY_POSTURE, Physics()))
         for _ in range(20):  # 3 s
             world.drive(kin.READY_POSTURE)
         drift = world.T_base_object - start

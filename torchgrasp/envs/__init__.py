@@ -1,4 +1,10 @@
-"""The task: a Panda with a wrist camera grasps an object from a table."""
+"""The task: a Panda with a wrist camera grasps an object from a table or from a person's hand."""
 
 from torchgrasp.envs.grasp import GraspEnv as GraspEnv
-from torchgrasp.envs.scene import StartPoses as StartPoses
+from torchgrasp.envs.motion import HandoverTarget as HandoverTarget
+from torchgrasp.envs.motion import JitterTarget as JitterTarget
+from torchgrasp.envs.motion import StaticTarget as StaticTarget
+from torchgrasp.envs.motion import TargetMotion as TargetMotion
+from torchgrasp.envs.starts import Start as Start
+from torchgrasp.envs.starts import StartPoses as StartPoses
+from torchgrasp.envs.starts import TabletopStart as TabletopStart

@@ -9,17 +9,20 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from torchgrasp import keys
-from torchgrasp.envs.scene import Scene, SceneSampler, StartPoses
+from torchgrasp.envs.motion import TargetMotion, make_target_motion, moved
+from torchgrasp.envs.scene import Scene, SceneSampler
+from torchgrasp.envs.specs import SpecMaker
+from torchgrasp.envs.starts import Start, StartPoses
+from torchgrasp.envs.trigger import GRASP_TRIGGERS, GraspTrigger, is_between_fingers
 from torchgrasp.errors import ConfigError, TorchgraspError
-from torchgrasp.geometry import ACTION_BOUND, ACTION_SIZE, action_to_pose
+from torchgrasp.objects.gripper import hand_blocked
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.sim import Camera, RaycastCamera
-from torchgrasp.sim.world import Physics
-from torchgrasp.sim.worlds import Worlds
+from torchgrasp.objects.surface import surface_points
+from torchgrasp.sim import Camera, Physics, Placement, RaycastCamera, Worlds
+from torchgrasp.sim.control import ActionSpaceName, make_action_space
 
 # Reference: lifted means at least 8 cm higher.
 LIFTED = 0.08
@@ -40,16 +43,22 @@ class GraspEnv(EnvBase):
         num_envs: N; the batch size is [N].
         objects: what is grasped.
         camera: the wrist camera; 112 x 112 by default.
+        overhead: a second camera, usually one that stands still, or None.
         horizon: T, steps of an episode (Sec. 6.4: 30).
-        start: the distribution of object places and start poses.
-        physics: masses, friction, rates.
-        target_motion: how the target moves before it is touched; ``static`` so far.
+        start: the distribution of object places and start postures.
+        physics: masses, friction, forces, rates; what has a range is drawn for each episode.
+        target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (Sec. 6.7), or a motion itself.
+        action_space: ``ee_delta``, ``joint_delta`` or ``joint_velocity``.
+        grasp_trigger: ``horizon``: the fingers close after the last step; ``between_fingers``: after
+            the first at which the target fills half of the space between them, at the last otherwise.
+        object_order: ``random`` or ``cycle``, see `SceneSampler`.
         seed: of all randomness; `set_seed` changes it.
         first_world: number of the first world, so that several processes share out one set of worlds.
         device: of the tensors; physics runs on the CPU.
 
     Attributes:
         worlds: the physics, batched.
+        actions: what an action means.
 
     Example:
         >>> from torchgrasp.objects import ProceduralObjects
@@ -64,10 +73,14 @@ class GraspEnv(EnvBase):
         *,
         objects: Sequence[GraspObject],
         camera: Camera | None = None,
+        overhead: Camera | None = None,
         horizon: int = 30,
-        start: StartPoses | None = None,
+        start: Start | None = None,
         physics: Physics | None = None,
-        target_motion: Literal["static"] = "static",
+        target_motion: TargetMotion | Literal["static", "jitter", "handover"] = "static",
+        action_space: ActionSpaceName = "ee_delta",
+        grasp_trigger: GraspTrigger = "horizon",
+        object_order: Literal["random", "cycle"] = "random",
         seed: int = 0,
         first_world: int = 0,
         device: torch.device | str = "cpu",
@@ -75,64 +88,39 @@ class GraspEnv(EnvBase):
         for name, value in (("num_envs", num_envs), ("horizon", horizon)):
             if not isinstance(value, int) or value < 1:
                 raise ConfigError(f"env.{name}={value} is out of range: give a whole number of at least 1.")
-        if target_motion != "static":
-            raise ConfigError(f"env.target_motion={target_motion!r} is unknown: give 'static'.")
+        if grasp_trigger not in GRASP_TRIGGERS:
+            raise ConfigError(
+                f"env.grasp_trigger={grasp_trigger!r} is unknown: give {' or '.join(GRASP_TRIGGERS)}."
+            )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
-        self.horizon = horizon
-        self.first_world = first_world
-        self.target_motion = target_motion
+        self.horizon, self.first_world, self.grasp_trigger = horizon, first_world, grasp_trigger
+        self.cameras: dict[str, Camera] = {"camera": camera or RaycastCamera()}
+        if overhead is not None:
+            self.cameras["overhead"] = overhead
+        self.worlds = Worlds(num_envs)
+        physics = physics or Physics()
+        self.actions = make_action_space(action_space, control_period=physics.control_period)
         self._base_seed = seed
-        self.worlds = Worlds(num_envs, physics=physics or Physics(), camera=camera or RaycastCamera())
-        self._scenes = SceneSampler(objects, physics=self.worlds.physics, start=start or StartPoses())
+        self._scenes = SceneSampler(
+            objects,
+            physics=physics,
+            start=start or StartPoses(),
+            motion=make_target_motion(target_motion),
+            order=object_order,
+        )
+        self._playing: list[Scene | None] = [None] * num_envs
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._episodes = np.full(num_envs, -1, dtype=np.int64)
-        self._object_ids = np.zeros(num_envs, dtype=np.int64)
         self._over = np.ones(num_envs, dtype=bool)
-        self._make_specs()
+        make = SpecMaker(self.batch_size, self.device)
+        self.observation_spec = make.observation(self.cameras)
+        self.action_spec = make.action(self.actions.bound)
+        self.reward_spec, self.done_spec = make.share(), make.done()
 
     @property
     def objects(self) -> Sequence[GraspObject]:
         """What is grasped; OBJECT_ID counts in it."""
         return self._scenes.objects
-
-    def _make_specs(self) -> None:
-        batch, device = self.batch_size, self.device
-        cam = self.worlds.camera.intrinsics
-
-        def real(*shape: int) -> Unbounded:
-            return Unbounded(batch + shape, dtype=torch.float32, device=device)
-
-        def count() -> Unbounded:
-            return Unbounded(torch.Size((*batch, 1)), dtype=torch.int64, device=device)
-
-        def flag(*shape: int) -> Binary:
-            return Binary(shape=batch + shape, dtype=torch.bool, device=device)
-
-        def share() -> Bounded:
-            return Bounded(0.0, 1.0, shape=torch.Size((*batch, 1)), dtype=torch.float32, device=device)
-
-        camera = {"depth": real(cam.height, cam.width), "mask": flag(cam.height, cam.width)}
-        self.observation_spec = Composite(
-            {
-                "camera": Composite(camera, shape=batch, device=device),
-                keys.T_BASE_EE: real(4, 4),
-                keys.T_BASE_CAMERA: real(4, 4),
-                keys.T_BASE_OBJECT: real(4, 4),
-                keys.OBJECT_ID: count(),
-                keys.WORLD: count(),
-                keys.EPISODE: count(),
-                keys.JOINTS: real(9),
-                keys.JOINT_VELOCITIES: real(9),
-                keys.TIME_LEFT: share(),
-            },
-            shape=batch,
-            device=device,
-        )
-        bound = torch.tensor(ACTION_BOUND, device=device).expand(*batch, ACTION_SIZE)
-        self.action_spec = Bounded(-bound, bound, shape=bound.shape, dtype=torch.float32, device=device)
-        self.reward_spec = share()
-        flags = {name: flag(1) for name in ("done", "terminated", "truncated")}
-        self.done_spec = Composite(flags, shape=batch, device=device)
 
     @property
     def num_envs(self) -> int:
@@ -149,6 +137,10 @@ class GraspEnv(EnvBase):
         self._episodes[:] = np.asarray(numbers, dtype=np.int64) - 1
         self._over[:] = True
 
+    def scene(self, row: int, episode: int) -> Scene:
+        """The scene with which world `row` begins its episode of that number."""
+        return self._scenes.sample(self._base_seed, self.first_world + row, episode)
+
     def _set_seed(self, seed: int | None) -> None:
         self._base_seed = 0 if seed is None else seed
         self._episodes[:] = -1
@@ -162,70 +154,109 @@ class GraspEnv(EnvBase):
         return np.flatnonzero(mask.reshape(self.num_envs, -1).any(-1).cpu().numpy())
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: object) -> TensorDictBase:
-        for row in self._rows(tensordict, "_reset"):
+        for row in self._rows(tensordict, "_reset").tolist():
             self._episodes[row] += 1
-            scene = self.scene(int(row), int(self._episodes[row]))
-            self.worlds.place(int(row), self.objects[scene.object_id], scene.T_base_object, scene.q)
-            self._object_ids[row] = scene.object_id
+            scene = self._playing[row] = self.scene(row, int(self._episodes[row]))
+            self.worlds.place(
+                row,
+                Placement(
+                    self.objects[scene.object_id],
+                    scene.T_base_object,
+                    scene.q,
+                    scene.physics,
+                    held=self._scenes.motion.held,
+                    appearance=scene.appearance,
+                ),
+            )
             self._steps[row], self._over[row] = 0, False
-        return self._observation().update(self._flags(np.zeros(self.num_envs, dtype=bool)))
-
-    def scene(self, row: int, episode: int) -> Scene:
-        """The scene with which world `row` begins its episode of that number."""
-        return self._scenes.sample(self._base_seed, self.first_world + row, episode)
+        return self._report(np.zeros(self.num_envs, dtype=bool))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict.get(keys.ACTION).detach().to("cpu", torch.float64)
-        if not bool(torch.isfinite(action).all()):
+        action = tensordict.get(keys.ACTION).detach().to("cpu", torch.float64).numpy()
+        if not np.isfinite(action).all():
             raise TorchgraspError(
                 "GraspEnv was given an action with NaN or infinity: look at the policy's output."
             )
         rows = self._rows(tensordict, "_step")
         rows = rows[~self._over[rows]]
-        bound = torch.tensor(ACTION_BOUND, dtype=torch.float64)
-        change = action_to_pose(action.clamp(-bound, bound)).numpy()
-        self.worlds.drive_to_pose(self.worlds.T_base_ee @ change, rows.tolist())
+        self._move_targets(rows)
+        bound = np.asarray(self.actions.bound)
+        q = self.worlds.joints[rows, :7]
+        action = np.clip(action[rows], -bound, bound)
+        self.worlds.drive(self.actions.posture(q, self.worlds.T_base_ee[rows], action), rows.tolist())
         self._steps[rows] += 1
-        out = self._observation()
+        seen = self._observe()
         reward = self._finish(rows)
-        out.set("reward", reward)
-        return out.update(self._flags(self._over))
+        return self._report(self._over, seen, reward)
 
-    def _finish(self, rows: np.ndarray) -> Tensor:
+    def _move_targets(self, rows: np.ndarray) -> None:
+        """Move the targets that are due, but none into the hand."""
+        T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
+        for row in rows.tolist():
+            scene, step = self._playing[row], self._steps[row]
+            assert scene is not None
+            if step >= len(scene.moves):
+                continue
+            after = moved(T_base_object[row], scene.moves[step])
+            if not self._scenes.motion.held:
+                points = surface_points(self.objects[scene.object_id])
+                hand = np.linalg.solve(after, T_base_ee[row])[None]
+                if hand_blocked(points, hand, approach=0.0, margin=0.01)[0]:
+                    continue
+            self.worlds.move_target(row, after)
+
+    def _finish(self, rows: np.ndarray) -> np.ndarray:
         """End the episodes that are due among `rows`; (N, 1) reward of this step."""
-        heights = self.worlds.T_base_object[:, 2, 3]
-        fallen = rows[heights[rows] < _FALLEN]
-        last = rows[(self._steps[rows] >= self.horizon) & (heights[rows] >= _FALLEN)]
-        reward = torch.zeros(self.num_envs, 1)
-        if len(last):
-            rise = self.worlds.close_and_lift(last.tolist())
-            reward[last, 0] = torch.from_numpy((rise >= LIFTED).astype(np.float32))
+        T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
+        heights = T_base_object[rows, 2, 3]
+        fallen, due = rows[heights < _FALLEN], rows[heights >= _FALLEN]
+        last = [row for row in due.tolist() if self._is_last(row, T_base_object[row], T_base_ee[row])]
+        reward = np.zeros((self.num_envs, 1), dtype=np.float32)
+        if last:
+            reward[last, 0] = self.worlds.close_and_lift(last) >= LIFTED
         self._over[fallen] = self._over[last] = True
-        return reward.to(self.device)
+        return reward
 
-    def _observation(self) -> TensorDict:
+    def _is_last(self, row: int, T_base_object: np.ndarray, T_base_ee: np.ndarray) -> bool:
+        scene = self._playing[row]
+        assert scene is not None
+        if self._steps[row] >= self.horizon:
+            return True
+        if self.grasp_trigger == "horizon":
+            return False
+        return is_between_fingers(self.objects[scene.object_id], T_base_object, T_base_ee)
+
+    def _observe(self) -> dict:
         """Everything that can be seen, as fresh tensors that no later step writes to."""
-        worlds = self.worlds
-        pictures = worlds.observe()
+        worlds, n = self.worlds, self.num_envs
         T_base_ee = worlds.T_base_ee
-        arrays = {
+        reals = {
             keys.T_BASE_EE: T_base_ee,
-            keys.T_BASE_CAMERA: worlds.camera.pose(T_base_ee),
             keys.T_BASE_OBJECT: worlds.T_base_object,
             keys.JOINTS: worlds.joints,
             keys.JOINT_VELOCITIES: worlds.joint_velocities,
             keys.TIME_LEFT: (1.0 - self._steps / self.horizon)[:, None],
         }
-        out = TensorDict({}, batch_size=self.batch_size, device=self.device)
-        for channel, picture in pictures.items():
-            out.set(("camera", channel), torch.from_numpy(picture))
-        for key, array in arrays.items():
-            out.set(key, torch.from_numpy(array.astype(np.float32)))
-        out.set(keys.OBJECT_ID, torch.from_numpy(self._object_ids[:, None].copy()))
-        out.set(keys.WORLD, torch.arange(self.num_envs)[:, None] + self.first_world)
-        out.set(keys.EPISODE, torch.from_numpy(self._episodes[:, None].copy()))
+        out: dict = {}
+        for name, camera in self.cameras.items():
+            pictures = worlds.observe(camera)
+            out[name] = {channel: torch.from_numpy(picture) for channel, picture in pictures.items()}
+            reals[f"T_base_{name}"] = camera.pose(T_base_ee)
+        for key, array in reals.items():
+            out[key] = torch.from_numpy(array.astype(np.float32))
+        playing = [[-1 if scene is None else scene.object_id] for scene in self._playing]
+        out[keys.OBJECT_ID] = torch.tensor(playing)
+        out[keys.WORLD] = torch.arange(n)[:, None] + self.first_world
+        out[keys.EPISODE] = torch.from_numpy(self._episodes[:, None].copy())
         return out
 
-    def _flags(self, over: np.ndarray) -> dict[str, Tensor]:
-        done = torch.from_numpy(over[:, None].copy()).to(self.device)
-        return {"done": done, "terminated": done.clone(), "truncated": torch.zeros_like(done)}
+    def _report(
+        self, over: np.ndarray, seen: dict | None = None, reward: np.ndarray | None = None
+    ) -> TensorDict:
+        """One tensordict of what was seen, the reward of a step, and the flags."""
+        entries = self._observe() if seen is None else seen
+        if reward is not None:
+            entries["reward"] = torch.from_numpy(reward)
+        done: Tensor = torch.from_numpy(over[:, None].copy())
+        entries |= {"done": done, "terminated": done.clone(), "truncated": torch.zeros_like(done)}
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)

@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal, overload
 
+import numpy as np
 from tqdm import tqdm
 
 from torchgrasp.errors import ConfigError
@@ -78,6 +79,10 @@ class ObjectSet(Sequence[GraspObject], ABC):
             while len(self._memory) > _IN_MEMORY:
                 self._memory.popitem(last=False)
         return self._memory[position]
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """The index of an object for one episode, uniform over the set."""
+        return int(rng.integers(len(self)))
 
     def __iter__(self) -> Iterator[GraspObject]:
         return (self[index] for index in range(len(self)))

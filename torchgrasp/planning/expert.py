@@ -11,9 +11,10 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
-from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE, invert_pose, pose_to_action, pose_to_goal
+from torchgrasp.geometry import GOAL_SIZE, invert_pose, pose_to_goal
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.planner import GraspPlanner, Plan, PlanStatus, pose_distances
+from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array
 
 # An object that moved further than this since its plan was made is planned for again.
@@ -51,6 +52,7 @@ class ExpertPolicy(TensorDictModuleBase):
         objects: the environment's objects, which OBJECT_ID counts in.
         horizon: the environment's, T.
         planner: how grasps are chosen and approached.
+        action_space: the environment's, in which labels are given.
         loyalty: metres of L_POSE by which another grasp must be nearer.
         execute: also write the label as ACTION; False where another policy acts.
     """
@@ -61,6 +63,7 @@ class ExpertPolicy(TensorDictModuleBase):
         *,
         horizon: int,
         planner: GraspPlanner | None = None,
+        action_space: ActionSpace | None = None,
         loyalty: float = 0.01,
         execute: bool = True,
     ) -> None:
@@ -68,6 +71,7 @@ class ExpertPolicy(TensorDictModuleBase):
         self.objects = objects
         self.horizon = horizon
         self.planner = planner or GraspPlanner()
+        self.actions = action_space or EeDelta()
         self.loyalty = loyalty
         self.in_keys = [
             keys.T_BASE_EE,
@@ -110,7 +114,8 @@ class ExpertPolicy(TensorDictModuleBase):
             if goal is not None:
                 goals[i], has_goal[i] = goal, True
         target = self.planner.funnel.next_pose(T_base_ee, goals, steps_left, self.horizon)
-        return self._write(tensordict, T_base_ee, target, goals, has_goal)
+        action = self.actions.action_towards(q, T_base_ee, target)
+        return self._write(tensordict, T_base_ee, action, goals, has_goal)
 
     def _pursue(
         self,
@@ -137,14 +142,14 @@ class ExpertPolicy(TensorDictModuleBase):
         return grasps[pursuit.chosen]
 
     def _write(
-        self, tensordict: TensorDictBase, T_base_ee: Array, target: Array, goals: Array, has_goal: np.ndarray
+        self, tensordict: TensorDictBase, T_base_ee: Array, label: Array, goals: Array, has_goal: np.ndarray
     ) -> TensorDictBase:
         batch, device = tensordict.batch_size, tensordict.device
         T_ee_base = invert_pose(torch.from_numpy(T_base_ee))
         valid = torch.from_numpy(has_goal)[:, None]
-        action = pose_to_action(T_ee_base @ torch.from_numpy(target)) * valid
+        action = torch.from_numpy(label) * valid
         goal = pose_to_goal(T_ee_base @ torch.from_numpy(goals)) * valid
-        action = action.float().reshape(*batch, ACTION_SIZE).to(device)
+        action = action.float().reshape(*batch, self.actions.size).to(device)
         valid = valid.reshape(*batch, 1).to(device)
         tensordict.set(keys.EXPERT_ACTION, action)
         tensordict.set(keys.HAS_EXPERT, valid)

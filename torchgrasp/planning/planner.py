@@ -12,7 +12,7 @@ from torchgrasp.objects.gripper import hand_blocked, lowest_point
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.surface import surface_points
 from torchgrasp.planning.funnel import Funnel
-from torchgrasp.sim import kinematics
+from torchgrasp.sim import kinematics, tracking
 from torchgrasp.sim.kinematics import Array
 from torchgrasp.sim.reach import ReachableGrasps, clear_grasps, in_reach
 
@@ -146,7 +146,7 @@ class GraspPlanner:
         for t in range(steps_left):
             left = np.full(len(goals), float(steps_left - t))
             T_base_ee = self.funnel.next_pose(T_base_ee, goals, left, horizon)
-            q, error = kinematics.track_pose(q, T_base_ee, tolerance=1e-3)
+            q, error = tracking.track_pose(q, T_base_ee, tolerance=1e-3)
             free &= error < 2e-3
             path[:, t] = T_base_ee
         free &= (lowest_point(path) > 0.0).all(axis=-1)

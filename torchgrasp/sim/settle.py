@@ -7,8 +7,9 @@ import sapien
 from sapien import physx
 
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import build_table
-from torchgrasp.sim.world import Physics, build_target
+from torchgrasp.sim.world import build_target
 
 _SETTLE_RATE = 120
 _MAX_SECONDS = 10

@@ -8,80 +8,61 @@ import numpy as np
 import sapien
 from sapien import Pose, physx
 
-from torchgrasp.errors import check_range
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.panda import FINGER_CLOSED, Panda
+from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import build_table
+from torchgrasp.sim.tracking import track_pose
+
+# The open hand's box in its frame, for the question how near the target is.
+_HAND_CENTRE, _HAND_HALF = np.array([0.0, 0.0, 0.0435]), np.array([0.0315, 0.102, 0.0695])
+_STANDING = 2e-3  # m/s below which a finger stands
+_LIFT_STAGES = 8
 
 
 @dataclass(frozen=True)
-class Physics:
-    """What the world is made of. Every object has the same mass and friction (Sec. 6.2).
+class Placement:
+    """How an episode begins in one world.
 
     Attributes:
-        mass: of the target, kg.
-        friction: static and dynamic, of target and table.
-        finger_friction: of the finger pads.
-        linear_damping, angular_damping: of the target, 1/s. PhysX knows no rolling friction; without
-            an angular damping of this size round objects roll for ever.
-        control_period: seconds a step of the policy lasts (released code: 0.15).
-        approach_rate: physics steps a second while the hand moves.
-        grasp_rate: physics steps a second while the fingers close and lift.
-        close_seconds, lift_seconds: duration of the two.
-        lift_height: metres that the hand rises at the end.
+        target: the object to grasp.
+        T_base_object: (4, 4) its pose.
+        q: (7,) arm angles to start from.
+        physics: of the episode.
+        held: whether the target is held where it is put, as by a person's hand, until it is grasped.
+        appearance: seed of textures and light.
     """
 
-    mass: float = 0.15
-    friction: float = 1.0
-    finger_friction: float = 2.0
-    linear_damping: float = 0.1
-    angular_damping: float = 10.0
-    control_period: float = 0.15
-    approach_rate: int = 120
-    grasp_rate: int = 240
-    close_seconds: float = 0.4
-    lift_seconds: float = 1.2
-    lift_height: float = 0.15
-
-    def __post_init__(self) -> None:
-        for name in (
-            "mass",
-            "control_period",
-            "approach_rate",
-            "grasp_rate",
-            "close_seconds",
-            "lift_seconds",
-            "lift_height",
-        ):
-            check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf, open_low=True)
-        for name in ("friction", "finger_friction", "linear_damping", "angular_damping"):
-            check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf)
+    target: GraspObject
+    T_base_object: np.ndarray
+    q: np.ndarray
+    physics: Physics
+    held: bool = False
+    appearance: int = 0
 
 
 class World:
     """A scene built anew for every episode, so that an episode depends on nothing before it.
 
     Building takes 2 to 3 ms, less than two control steps, and leaves no memory behind.
-
-    Args:
-        physics: what the world is made of.
-        target: the object to grasp.
-        T_base_object: (4, 4) its pose.
-        q: (7,) arm angles to start from.
     """
 
-    def __init__(
-        self, physics: Physics, target: GraspObject, T_base_object: np.ndarray, q: np.ndarray
-    ) -> None:
-        self.physics = physics
+    def __init__(self, placement: Placement) -> None:
+        physics = placement.physics
+        self.placement = placement
         self._system = physx.PhysxCpuSystem()
         self._scene = sapien.Scene([self._system])
         material = physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
         build_table(self._scene, material)
-        self._panda = Panda(self._scene, finger_friction=physics.finger_friction)
-        self._target = build_target(self._scene, target, T_base_object, physics, material)
-        self._panda.place(q)
+        self._panda = Panda(
+            self._scene, finger_friction=physics.finger_friction, finger_force=physics.finger_force
+        )
+        self._target = build_target(self._scene, placement.target, placement.T_base_object, physics, material)
+        self._target.kinematic = placement.held
+        self._carried: tuple[np.ndarray, np.ndarray] | None = None
+        self._panda.place(placement.q)
 
     @property
     def joints(self) -> np.ndarray:
@@ -98,33 +79,66 @@ class World:
         """(4, 4) pose of the target."""
         return self._target.entity_pose.to_transformation_matrix().astype(np.float64)
 
+    def move_target(self, T_base_object: np.ndarray) -> None:
+        """Put the target at a (4, 4) pose at once; one that is held is carried there in the next step."""
+        if self._target.kinematic:
+            self._carried = (self.T_base_object, T_base_object)
+            return
+        self._target.entity_pose = Pose(T_base_object)
+        self._target.set_linear_velocity([0.0, 0.0, 0.0])
+        self._target.set_angular_velocity([0.0, 0.0, 0.0])
+        self._target.wake_up()
+
     def drive(self, q: np.ndarray) -> None:
         """One control step with the arm's drives led to q (7,), no faster than the joints may turn."""
-        seconds = self.physics.control_period
-        reach = kinematics.JOINT_VELOCITY * seconds
+        physics = self.placement.physics
+        reach = kinematics.JOINT_VELOCITY * physics.control_period
         start = self.joints[:7]
         change = q - start
         change = change / max(1.0, float(np.max(np.abs(change) / reach)))
-        self._follow(start, start + change, seconds, self.physics.approach_rate)
+        rate = physics.approach_rate if self._is_near(start, start + change) else physics.free_rate
+        self._follow(start, start + change, physics.control_period, rate)
+        self._carried = None
+
+    def _is_near(self, start: np.ndarray, end: np.ndarray) -> bool:
+        """Whether hand and target may come within `near` of each other on the way."""
+        T_base_object = self.T_base_object if self._carried is None else self._carried[1]
+        points = surface_points(self.placement.target) @ T_base_object[:3, :3].T + T_base_object[:3, 3]
+        hands = kinematics.forward_kinematics(np.stack((start, end)))
+        for hand in hands:
+            outside = np.abs((points - hand[:3, 3]) @ hand[:3, :3] - _HAND_CENTRE) - _HAND_HALF
+            nearest = np.maximum(outside, 0.0)
+            if np.einsum("ij,ij->i", nearest, nearest).min() < self.placement.physics.near**2:
+                return True
+        return False
 
     def close_fingers(self) -> None:
-        """Close the fingers on whatever is between them."""
+        """Close the fingers on whatever is between them, until they stand; a held target is then let go."""
+        physics = self.placement.physics
         self._panda.drive_arm_velocity(np.zeros(7))
         self._panda.drive_fingers(FINGER_CLOSED)
-        self._step(self.physics.close_seconds, self.physics.grasp_rate)
+        slices = max(1, round(physics.close_seconds / 0.05))
+        for i in range(slices):
+            self._step(0.05, physics.close_rate)
+            if i > 0 and np.abs(self.joint_velocities[7:]).max() < _STANDING:
+                break
+        if self._target.kinematic:
+            self._target.kinematic = False
+            self._target.wake_up()
+        self._step(0.05, physics.close_rate)
 
     def lift(self) -> None:
         """Raise the hand straight up by lift_height, as far as the arm reaches."""
+        physics = self.placement.physics
         T_base_ee = kinematics.forward_kinematics(self.joints[None, :7])
-        q, stages = self.joints[None, :7], 8
-        seconds = self.physics.lift_seconds / stages
-        for _ in range(stages):
-            T_base_ee[:, 2, 3] += self.physics.lift_height / stages
+        q, seconds = self.joints[None, :7], physics.lift_seconds / _LIFT_STAGES
+        for _ in range(_LIFT_STAGES):
+            T_base_ee[:, 2, 3] += physics.lift_height / _LIFT_STAGES
             start = q[0]
-            q, _ = kinematics.track_pose(q, T_base_ee)
-            self._follow(start, q[0], seconds, self.physics.grasp_rate)
+            q, _ = track_pose(q, T_base_ee)
+            self._follow(start, q[0], seconds, physics.lift_rate)
         self._panda.drive_arm_velocity(np.zeros(7))
-        self._step(0.1, self.physics.grasp_rate)
+        self._step(0.1, physics.lift_rate)
 
     def _follow(self, start: np.ndarray, end: np.ndarray, seconds: float, rate: int) -> None:
         """Lead the drives from start to end at an even pace, their rate fed forward against the lag."""
@@ -134,7 +148,17 @@ class World:
         self._panda.drive_arm_velocity(step * rate)
         for i in range(1, num_substeps + 1):
             self._panda.drive_arm(start + i * step)
+            if self._carried is not None:
+                self._carry(i / num_substeps)
             self._system.step()
+
+    def _carry(self, share: float) -> None:
+        """Move the held target a share of its way, position alone: it arrives turned as it is told to be."""
+        assert self._carried is not None
+        before, after = self._carried
+        pose = after.copy()
+        pose[:3, 3] = (1.0 - share) * before[:3, 3] + share * after[:3, 3]
+        self._target.set_kinematic_target(Pose(pose))
 
     def _step(self, seconds: float, rate: int) -> None:
         self._system.timestep = 1.0 / rate

@@ -1,0 +1,174 @@
+"""How the target moves before it is grasped: not at all, by jumps on the table, or in a person's hand."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from torchgrasp.errors import ConfigError, check_range
+
+Moves = np.ndarray  # (K, 3): metres along x and y of the base, radians about z, at the first K steps
+Route = Literal["left", "middle", "right", "left_to_right", "right_to_left"]
+ROUTES: tuple[Route, ...] = get_args(Route)
+
+# Where a route begins and ends: 1 left, 0 middle, -1 right.
+_ENDS = {
+    "left": (1, 1),
+    "middle": (0, 0),
+    "right": (-1, -1),
+    "left_to_right": (1, -1),
+    "right_to_left": (-1, 1),
+}
+_STILL: Moves = np.zeros((0, 3))
+
+
+class TargetMotion(ABC):
+    """Where the target is presented, and its moves at the first steps of an episode.
+
+    Attributes:
+        held: whether it is held in the air until the fingers have closed, rather than put on the table.
+    """
+
+    held: bool = False
+
+    @abstractmethod
+    def present(
+        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
+    ) -> tuple[np.ndarray, Moves]:
+        """The (4, 4) pose in which an episode begins and the moves that follow.
+
+        Args:
+            rng: of the draws.
+            T_base_object: (4, 4) pose at rest on the table.
+            area: ((low, high) of x, (low, high) of y) of the table's part in use, metres, base frame.
+        """
+
+
+class StaticTarget(TargetMotion):
+    """The target lies still."""
+
+    def present(
+        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
+    ) -> tuple[np.ndarray, Moves]:
+        """See `TargetMotion.present`."""
+        return T_base_object, _STILL
+
+
+@dataclass(frozen=True)
+class JitterTarget(TargetMotion):
+    """The target is put elsewhere on the table at each of the first steps (Sec. 6.6).
+
+    Attributes:
+        steps: that begin with a move (Sec. 6.6: 12).
+        translation: largest move along x and along y, metres (Sec. 6.6: 3 cm).
+        rotation: largest turn about z, radians (Sec. 6.6: 15 degrees).
+    """
+
+    steps: int = 12
+    translation: float = 0.03
+    rotation: float = float(np.deg2rad(15.0))
+
+    def __post_init__(self) -> None:
+        check_range("target_motion.steps", self.steps, 0, np.inf)
+        check_range("target_motion.translation", self.translation, 0.0, 0.5)
+        check_range("target_motion.rotation", self.rotation, 0.0, np.pi)
+
+    def present(
+        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
+    ) -> tuple[np.ndarray, Moves]:
+        """See `TargetMotion.present`; the target stays in the area."""
+        scale = np.array([self.translation, self.translation, self.rotation])
+        moves = rng.uniform(-1, 1, (self.steps, 3)) * scale
+        place = T_base_object[:2, 3]
+        for move in moves:
+            after = np.clip(place + move[:2], [low for low, _ in area], [high for _, high in area])
+            move[:2], place = after - place, after
+        return T_base_object, moves
+
+
+@dataclass(frozen=True)
+class HandoverTarget(TargetMotion):
+    """The target is held out to the robot, at rest or on its way across (handover, Sec. 6.7, Table 7).
+
+    It is held where it is told to be, whatever touches it, until the fingers have closed. Left is the
+    robot's own, y > 0. The person's hand is not modelled.
+
+    Attributes:
+        route: where it is held, or from where to where it moves; ``random`` draws one of the five.
+        side: y of left and right, metres.
+        x, z: ranges of its place, metres, base frame.
+        tilt: largest turn away from how it would lie on the table, radians.
+        steps: of a move from one side to the other.
+    """
+
+    route: Route | Literal["random"] = "random"
+    side: float = 0.2
+    x: tuple[float, float] = (0.45, 0.60)
+    z: tuple[float, float] = (0.25, 0.40)
+    tilt: float = 0.5
+    steps: int = 15
+
+    held = True
+
+    def __post_init__(self) -> None:
+        if self.route != "random" and self.route not in ROUTES:
+            raise ConfigError(
+                f"target_motion.route={self.route!r}: give random or one of {', '.join(ROUTES)}."
+            )
+        check_range("target_motion.side", self.side, 0.0, 0.5)
+        check_range("target_motion.tilt", self.tilt, 0.0, np.pi)
+        check_range("target_motion.steps", self.steps, 1, np.inf)
+
+    def present(
+        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
+    ) -> tuple[np.ndarray, Moves]:
+        """See `TargetMotion.present`; a move speeds up and slows down like a cosine."""
+        drawn = ROUTES[rng.integers(len(ROUTES))]
+        route = drawn if self.route == "random" else self.route
+        first, last = _ENDS[route]
+        pose = T_base_object.copy()
+        pose[:3, :3] = _tilted(rng, self.tilt) @ T_base_object[:3, :3]
+        pose[:3, 3] = rng.uniform(*self.x), first * self.side, rng.uniform(*self.z)
+        if first == last:
+            return pose, _STILL
+        shares = (1.0 - np.cos(np.linspace(0.0, np.pi, self.steps + 1))) / 2
+        moves = np.zeros((self.steps, 3))
+        moves[:, 1] = np.diff(shares) * (last - first) * self.side
+        return pose, moves
+
+
+def _tilted(rng: np.random.Generator, largest: float) -> np.ndarray:
+    """(3, 3) turn of up to `largest` radians about a horizontal axis."""
+    azimuth, angle = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, largest)
+    x, y, c, s = np.cos(azimuth), np.sin(azimuth), np.cos(angle), np.sin(angle)
+    return np.array(
+        [
+            [c + x * x * (1 - c), x * y * (1 - c), y * s],
+            [x * y * (1 - c), c + y * y * (1 - c), -x * s],
+            [-y * s, x * s, c],
+        ]
+    )
+
+
+def moved(T_base_object: np.ndarray, move: np.ndarray) -> np.ndarray:
+    """(4, 4) pose shifted by (3,) = (x, y, yaw), turned about its own origin."""
+    c, s = np.cos(move[2]), np.sin(move[2])
+    out = T_base_object.copy()
+    out[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ T_base_object[:3, :3]
+    out[:2, 3] += move[:2]
+    return out
+
+
+def make_target_motion(motion: TargetMotion | Literal["static", "jitter", "handover"]) -> TargetMotion:
+    """The motion itself, or that of the name with its usual numbers."""
+    if isinstance(motion, TargetMotion):
+        return motion
+    named = {"static": StaticTarget, "jitter": JitterTarget, "handover": HandoverTarget}
+    if motion not in named:
+        raise ConfigError(
+            f"env.target_motion={motion!r} is unknown: give {', '.join(named)} or a TargetMotion."
+        )
+    return named[motion]()

@@ -1,0 +1,112 @@
+"""Inverse kinematics that continues from where the arm stands: one step of the hand after another."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import sapien
+from sapien import Pose, physx
+
+from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, Array, jacobian, link_poses, pose_error
+from torchgrasp.sim.panda import Panda
+
+_IDENTITY = np.eye(6)
+_ARM = np.array([1] * 7 + [0, 0], dtype=np.int32)
+
+
+def track_pose(
+    q: Array, T_base_ee: Array, *, iterations: int = 12, damping: float = 1e-3, tolerance: float = 1e-5
+) -> tuple[Array, Array]:
+    """Inverse kinematics that continues smoothly from q: damped least squares within the limits.
+
+    Pinocchio's Newton steps, which know no joint limits, come first; where they end outside of them, or
+    nowhere, the same steps are taken here with the joints that meet a limit locked.
+
+    Args:
+        q: (N, 7) joint angles to start from.
+        T_base_ee: (N, 4, 4) hand poses to reach.
+        iterations: Newton steps at most.
+        damping: of the least squares; small, because targets lie a step away.
+        tolerance: of the pose error (metres and radians) at which a row stops.
+
+    Returns:
+        (N, 7) joint angles within the limits and the (N,) largest component of the error left.
+    """
+    start = np.minimum(np.maximum(q, JOINT_LOWER), JOINT_UPPER)
+    out, left = start.copy(), np.zeros(len(start))
+    hard = []
+    for row, (near, pose) in enumerate(zip(start, T_base_ee, strict=True)):
+        found, error = _newton(near, pose, iterations, damping, tolerance)
+        if found is None:
+            hard.append(row)
+        else:
+            out[row], left[row] = found, error
+    if hard:
+        solved = _track_within_limits(start[hard], T_base_ee[hard], iterations, damping, tolerance)
+        out[hard], left[hard] = solved
+    return out, left
+
+
+def _track_within_limits(
+    q: Array, T_base_ee: Array, iterations: int, damping: float, tolerance: float
+) -> tuple[Array, Array]:
+    """Damped least squares in which joints at a limit are locked; see `track_pose`."""
+    active = np.arange(len(q))
+    left = np.zeros(len(q))
+    for i in range(iterations + 1):
+        poses = link_poses(q[active])
+        error = pose_error(poses[:, 7], T_base_ee[active])
+        left[active] = np.abs(error).max(axis=-1)
+        keep = left[active] > tolerance
+        if i == iterations or not keep.any():
+            break
+        active, error, poses = active[keep], error[keep], poses[keep]
+        q[active] = _least_squares_step(q[active], jacobian(poses), error, damping)
+    return q, left
+
+
+def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Array:
+    """One damped step; joints that a limit stops are locked and the others take over."""
+    ridge = damping**2 * _IDENTITY
+    target = error[..., None]
+    for _ in range(3):
+        jt = j.transpose(0, 2, 1)
+        step = (jt @ np.linalg.solve(j @ jt + ridge, target))[..., 0]
+        moved = q + step
+        inside = np.minimum(np.maximum(moved, JOINT_LOWER), JOINT_UPPER)
+        blocked = (moved != inside) & (step != 0.0)
+        if not blocked.any():
+            break
+        j = np.where(blocked[:, None, :], 0.0, j)
+    return inside
+
+
+@functools.cache
+def _model() -> tuple[object, object, int]:
+    """Pinocchio's model of the arm, the scene that it came from, and the hand's index in it."""
+    scene = sapien.Scene([physx.PhysxCpuSystem()])
+    panda = Panda(scene)
+    names = [link.name for link in panda.links]
+    model = panda.articulation.create_pinocchio_model()  # pyright: ignore[reportCallIssue]
+    return model, scene, names.index("hand")
+
+
+def _newton(
+    q: Array, T_base_ee: Array, iterations: int, damping: float, tolerance: float
+) -> tuple[Array | None, float]:
+    """(7,) angles for one (4, 4) hand pose and the error left, or None where limits are in the way."""
+    model, _, hand = _model()
+    found, success, error = model.compute_inverse_kinematics(  # pyright: ignore[reportAttributeAccessIssue]
+        hand,
+        Pose(T_base_ee),
+        initial_qpos=np.concatenate((q, (0.0, 0.0))),
+        active_qmask=_ARM,
+        eps=tolerance,
+        max_iterations=iterations,
+        dt=1.0,
+        damp=damping**2,
+    )
+    found = found[:7]
+    inside = success and bool(((found >= JOINT_LOWER) & (found <= JOINT_UPPER)).all())
+    return (found, float(np.abs(error).max())) if inside else (None, 0.0)
