@@ -32,7 +32,9 @@ class MomentGenerators:
         if seed < 0:
             raise ConfigError(f"seed={seed} of {purpose}: give 0 or more.")
         self._key = (*_words(seed), zlib.crc32(purpose.encode()))
-        self._names = (keys.WORLD, keys.EPISODE) if per_episode else (keys.WORLD, keys.EPISODE, keys.TIME_LEFT)
+        self._names = (
+            (keys.WORLD, keys.EPISODE) if per_episode else (keys.WORLD, keys.EPISODE, keys.TIME_LEFT)
+        )
         self._calls = 0
 
     def __call__(

@@ -36,9 +36,7 @@ class HistoryTransform(PointTransform, Generic[Memory]):
         """The memory of an episode that has shown nothing yet."""
 
     @abstractmethod
-    def _see(
-        self, tensordict: TensorDictBase, memories: list[Memory], rows: list[int]
-    ) -> TensorDictBase:
+    def _see(self, tensordict: TensorDictBase, memories: list[Memory], rows: list[int]) -> TensorDictBase:
         """Add the batch elements `rows` to their memories, and write every element's `out_keys`."""
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
