@@ -63,9 +63,7 @@ def find_devices(*, timeout: float = 30.0) -> tuple[list[VulkanDevice], str]:
     if answer.returncode:
         lines = answer.stderr.strip().splitlines()
         return [], lines[-1] if lines else f"the driver ended its process (code {answer.returncode})"
-    devices = [
-        VulkanDevice(**{**each, "driver": tuple(each["driver"])}) for each in json.loads(answer.stdout)
-    ]
+    devices = [VulkanDevice(**each) for each in json.loads(answer.stdout)]
     return devices, "" if devices else "the loader knows no driver that finds a device"
 
 
