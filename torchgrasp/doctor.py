@@ -211,7 +211,7 @@ def check_renderer() -> Check:
     """Whether SAPIEN renders: camera=render."""
 
     def probe() -> str:
-        from torchgrasp.sim import probe_renderer  # pyright: ignore[reportAttributeAccessIssue]
+        from torchgrasp.sim import probe_renderer
 
         found = probe_renderer()
         if not found.ok:

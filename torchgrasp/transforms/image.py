@@ -53,7 +53,7 @@ class CameraImage(PointTransform):
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._check_is_there(set(next_tensordict.keys(True, True)))
         batch_dims = next_tensordict.batch_dims
-        planes = [self._planes(next_tensordict.get(key), key[1], batch_dims) for key in self.in_keys]
+        planes = [self._planes(next_tensordict.get(key), str(key[1]), batch_dims) for key in self.in_keys]
         image = torch.cat(planes, dim=1)
         next_tensordict.set(keys.IMAGE, image.reshape(*next_tensordict.batch_size, *image.shape[1:]))
         return next_tensordict
