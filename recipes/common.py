@@ -21,6 +21,7 @@ from torchgrasp.geometry import gripper_control_points
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy, RandomAction
 from torchgrasp.training import EpisodePool, Progress, SuccessTable, load_weights
+from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
 # What a learner needs of a step; poses and pictures stay where they were made.
 KEPT = (
@@ -114,6 +115,30 @@ def evaluate(cfg: DictConfig, pool: EpisodePool, policy: Callable, description: 
             progress.update(success_rate=table.success_rate)
     progress.close()
     return {**table.summary(), "env_steps": num_steps}
+
+
+def record_videos(cfg: DictConfig, policy: Callable, folder: Path) -> list[Path]:
+    """Write the first `video.episodes` episodes of the evaluation as mp4 files.
+
+    They are run once more, in this process: an episode is the same in every process, and the others
+    need not hand over pictures and poses.
+    """
+    env = make_env(cfg, "test")
+    base = env.base_env
+    assert isinstance(base, GraspEnv)
+    recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, fov=base.cameras["camera"].intrinsics.fov)
+    wanted, paths = min(cfg.video.episodes, cfg.evaluation.episodes), []
+    progress = Progress(wanted, description="videos", unit="video")
+    with EpisodePool({"test": lambda: env}) as pool:
+        for batch in pool.run("test", for_workers(policy), range(-(-wanted // cfg.evaluation.num_envs))):
+            for row, episode in enumerate(batch[: wanted - len(paths)]):
+                word = "lifted" if episode.success else "failed"
+                path = folder / f"{len(paths):03d}_{episode.object_name}_{word}.mp4"
+                frames = film.frames(episode.steps, recorder.endings.pop(row, ()))
+                paths.append(write_video(path, frames, fps=cfg.video.fps))
+                progress.update()
+    progress.close()
+    return paths
 
 
 def describe_scenes(cfg: DictConfig) -> str:

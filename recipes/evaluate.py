@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 import common
@@ -10,20 +11,25 @@ import settings
 from omegaconf import DictConfig
 
 from torchgrasp.training import one_line_errors, write_summary
+from torchgrasp.training.video import check_video_tools
 
 
 def evaluate(cfg: DictConfig) -> dict:
     """Run `episodes` scenes of the evaluation's objects; write and return the summary."""
     started = time.monotonic()
     cfg = settings.for_evaluation(cfg)
+    if cfg.video.episodes:
+        check_video_tools()
     common.count_points(cfg)
     policy = common.make_policy(cfg, str(cfg.policy))
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg, "test")
         table = common.evaluate(cfg, pool, policy, str(cfg.policy))
     run_dir = settings.open_run(cfg, "evaluate")
+    if cfg.video.episodes:
+        common.record_videos(cfg, policy, run_dir / "videos")
     common.print_comparison(cfg, {str(cfg.policy): table})
-    print(f"Written to {run_dir}: summary.json")
+    print(f"Written to {run_dir}: summary.json{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,
         "policy": str(cfg.policy),
@@ -43,4 +49,5 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    sys.argv = settings.expand_video(sys.argv)
     main()

@@ -20,6 +20,7 @@ _AT_LEAST = {
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1,
+    "video.episodes": 0, "video.fps": 1,
 }  # fmt: skip
 
 
@@ -76,6 +77,14 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
     chosen = {name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in str(tasks)}
     own = {"episodes": cfg.episodes, "seed": cfg.seed}
     return _merge(cfg, {"evaluation": {**own, **chosen}})
+
+
+def expand_video(arguments: list[str]) -> list[str]:
+    """A command line in which `video=true` and `video=false` are numbers of episodes, as Hydra wants it."""
+    switch = {"video=true": "video.episodes=3", "video=false": "video.episodes=0"}
+    numbered = any(each.startswith("video.episodes=") for each in arguments)
+    expanded = [switch.get(each.lower(), each) for each in arguments]
+    return [e for e, a in zip(expanded, arguments, strict=True) if not (numbered and e != a)]
 
 
 def weights_file(path: Path) -> Path:

@@ -1,3 +1,6 @@
+import zlib
+
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
@@ -80,3 +83,22 @@ def test_two_purposes_share_no_numbers():
 def test_a_negative_seed_is_refused():
     with pytest.raises(ConfigError, match="seed=-1"):
         MomentGenerators(-1, purpose="test")
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**32 + 5, 2**70])
+def test_numbers_are_those_of_numpys_own_seeding(seed):
+    moment = moments([3], [4], [0.25])
+    expected = np.random.default_rng((seed, zlib.crc32(b"test"), 3, 4, 250_000)).random()
+    assert draws(generators(seed), moment) == [expected]
+
+
+def test_what_is_drawn_per_episode_is_the_same_at_all_its_steps():
+    per_episode = MomentGenerators(0, purpose="test", per_episode=True)
+    first, again, other = draws(per_episode, moments([1, 1, 1], [2, 2, 3], [1.0, 0.5, 0.5]))
+    assert first == again != other
+
+
+def test_rows_are_drawn_for_alone_as_in_the_whole_batch():
+    batch = moments([0, 1, 2], [0, 0, 0], [1.0, 1.0, 1.0])
+    whole = draws(generators(0), batch)
+    assert [rng.random() for rng in generators(0)(batch, [2, 0])] == [whole[2], whole[0]]

@@ -21,6 +21,10 @@ class CheckpointError(TorchgraspError):
     """A run directory, checkpoint or weights file that is missing, damaged or of another model."""
 
 
+class RenderError(TorchgraspError):
+    """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
+
+
 def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:
     """Raise ConfigError unless ``low <= value <= high`` (``low < value`` where `open_low`)."""
     if isinstance(value, bool) or not isinstance(value, Real):

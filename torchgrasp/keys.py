@@ -6,7 +6,9 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 |---|---|---|
 | DEPTH | *, H, W | metres along z of the wrist camera, 0 = no return |
 | MASK | *, H, W bool | pixels of the target object |
-| T_BASE_EE, T_BASE_CAMERA | *, 4, 4 | poses in the robot base |
+| RGB | *, H, W, 3 uint8 | colours, from cameras that render |
+| OVERHEAD_DEPTH, OVERHEAD_MASK, OVERHEAD_RGB | as above | the same of the static camera |
+| T_BASE_EE, T_BASE_CAMERA, T_BASE_OVERHEAD | *, 4, 4 | poses in the robot base |
 | T_BASE_OBJECT | *, 4, 4 | pose of the target; privileged: no policy reads it |
 | OBJECT_ID | *, 1 int64 | index of the target in the ObjectSet; privileged |
 | WORLD | *, 1 int64 | number of the world; with EPISODE it names an episode |
@@ -15,6 +17,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | TIME_LEFT | *, 1 | (T - t) / T |
 | POINTS | *, N, C | network input, ee frame: xyz, then a flag that is 1 for gripper points |
 | NUM_POINTS | *, 1 int64 | how many rows of POINTS were observed rather than filled in |
+| IMAGE | *, C, S, S | network input of image policies: colours in [0, 1], depth in metres, mask 0 or 1 |
 | ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
 | GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
@@ -26,10 +29,17 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 DEPTH = ("camera", "depth")
 MASK = ("camera", "mask")
+RGB = ("camera", "rgb")
+OVERHEAD_DEPTH = ("overhead", "depth")
+OVERHEAD_MASK = ("overhead", "mask")
+OVERHEAD_RGB = ("overhead", "rgb")
 T_BASE_EE = "T_base_ee"
 T_BASE_CAMERA = "T_base_camera"
+T_BASE_OVERHEAD = "T_base_overhead"
 T_BASE_OBJECT = "T_base_object"
 OBJECT_ID = "object_id"
 WORLD = "world"
@@ -39,6 +49,7 @@ JOINT_VELOCITIES = "joint_velocities"
 TIME_LEFT = "time_left"
 POINTS = "points"
 NUM_POINTS = "num_points"
+IMAGE = "image"
 ACTION = "action"
 EXPERT_ACTION = "expert_action"
 HAS_EXPERT = "has_expert"
@@ -48,3 +59,17 @@ PERTURBED = "perturbed"
 EPISODE_SUCCESS = "episode_success"
 GOAL_PREDICTION = "goal_prediction"
 STATE_ACTION_VALUE = "state_action_value"
+
+
+@dataclass(frozen=True)
+class CameraKeys:
+    """Where one camera's pictures and its pose in the base are found."""
+
+    depth: tuple[str, str]
+    mask: tuple[str, str]
+    rgb: tuple[str, str]
+    pose: str
+
+
+WRIST = CameraKeys(DEPTH, MASK, RGB, T_BASE_CAMERA)
+OVERHEAD = CameraKeys(OVERHEAD_DEPTH, OVERHEAD_MASK, OVERHEAD_RGB, T_BASE_OVERHEAD)

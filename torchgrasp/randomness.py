@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 
 import numpy as np
-import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
@@ -24,22 +25,47 @@ class MomentGenerators:
     Args:
         seed: of a run.
         purpose: what the draws are for; two purposes of one seed share no numbers.
+        per_episode: whether the time left is left out, so that all steps of an episode draw the same.
     """
 
-    def __init__(self, seed: int, *, purpose: str) -> None:
+    def __init__(self, seed: int, *, purpose: str, per_episode: bool = False) -> None:
         if seed < 0:
             raise ConfigError(f"seed={seed} of {purpose}: give 0 or more.")
-        self._key = (seed, zlib.crc32(purpose.encode()))
+        self._key = (*_words(seed), zlib.crc32(purpose.encode()))
+        self._names = (
+            (keys.WORLD, keys.EPISODE) if per_episode else (keys.WORLD, keys.EPISODE, keys.TIME_LEFT)
+        )
         self._calls = 0
 
-    def __call__(self, tensordict: TensorDictBase) -> list[np.random.Generator]:
-        """One generator for each element of the batch, in flat order."""
-        rows = [tensordict.get(key, None) for key in (keys.WORLD, keys.EPISODE, keys.TIME_LEFT)]
+    def __call__(
+        self, tensordict: TensorDictBase, rows: Sequence[int] | None = None
+    ) -> list[np.random.Generator]:
+        """One generator for each element of the batch, in flat order, or for those in `rows` alone."""
         n = tensordict.batch_size.numel()
-        if any(row is None for row in rows):
+        rows = range(n) if rows is None else rows
+        moment = [tensordict.get(name, None) for name in self._names]
+        if any(each is None for each in moment):
             self._calls += 1
-            return [np.random.default_rng((*self._key, self._calls, i)) for i in range(n)]
-        world, episode, time_left = (row.reshape(n).cpu() for row in rows)
-        ticks = (time_left * _TICKS).round().long()
-        streams = torch.stack((world, episode.clamp_min(0), ticks.clamp_min(0)), dim=-1).tolist()
-        return [np.random.default_rng((*self._key, *stream)) for stream in streams]
+            return [self._generator(self._calls, i) for i in rows]
+        columns = [self._count(name, each) for name, each in zip(self._names, moment, strict=True)]
+        return [self._generator(*(column[i] for column in columns)) for i in rows]
+
+    def _generator(self, *stream: int) -> np.random.Generator:
+        # numpy takes a tuple for the same seed, but twice as long to read it.
+        return np.random.default_rng(np.array((*self._key, *stream), dtype=np.uint32))
+
+    @staticmethod
+    def _count(name: str, entry: Tensor) -> list[int]:
+        """An entry of the batch as whole numbers of at least 0."""
+        column = entry.detach().cpu().numpy().reshape(-1)
+        if name == keys.TIME_LEFT:
+            column = np.rint(column * _TICKS).astype(np.int64)
+        return np.maximum(column, 0).tolist()
+
+
+def _words(number: int) -> list[int]:
+    """A whole number in words of 32 bits, the lowest first, as numpy seeds with it."""
+    words = [number & 0xFFFFFFFF]
+    while number := number >> 32:
+        words.append(number & 0xFFFFFFFF)
+    return words

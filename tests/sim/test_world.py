@@ -110,7 +110,7 @@ def test_without_friction_between_the_pads_nothing_is_lifted(brick):
         posture_at(hand_above(0.5, 0.0, 0.04 + 0.1034)),
     )
     world.close_fingers()
-    world.lift()
+    list(world.lift())
     assert world.T_base_object[2, 3] < 0.08
 
 

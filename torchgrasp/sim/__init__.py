@@ -1,10 +1,15 @@
 """What moves: the Panda, the table, the objects and the wrist camera. Only this folder imports sapien."""
 
 from torchgrasp.sim._sapien import sapien as sapien
+from torchgrasp.sim.appearance import Randomization as Randomization
 from torchgrasp.sim.camera import Camera as Camera
 from torchgrasp.sim.camera import CameraIntrinsics as CameraIntrinsics
 from torchgrasp.sim.camera import View as View
+from torchgrasp.sim.camera import look_at as look_at
 from torchgrasp.sim.physics import Physics as Physics
+from torchgrasp.sim.probe import RendererProbe as RendererProbe
+from torchgrasp.sim.probe import probe_renderer as probe_renderer
 from torchgrasp.sim.raycast import RaycastCamera as RaycastCamera
+from torchgrasp.sim.render import RenderCamera as RenderCamera
 from torchgrasp.sim.world import Placement as Placement
 from torchgrasp.sim.worlds import Worlds as Worlds

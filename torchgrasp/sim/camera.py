@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,6 +77,35 @@ class CameraIntrinsics:
         return (
             np.concatenate((grid, np.ones((*grid.shape[:2], 1))), axis=-1).reshape(-1, 3).astype(np.float32)
         )
+
+
+def look_at(
+    position: Sequence[float], target: Sequence[float], *, up: Sequence[float] = (0.0, 0.0, 1.0)
+) -> np.ndarray:
+    """(4, 4) pose of a camera at `position` whose optical axis passes through `target`.
+
+    Args:
+        position: (3,) metres, base frame.
+        target: (3,) metres, base frame.
+        up: (3,) direction that shows upwards in the picture.
+
+    Example:
+        >>> look_at((0.0, 0.0, 1.0), (1.0, 0.0, 1.0)).round(6)[:3, 2].tolist()
+        [1.0, 0.0, 0.0]
+    """
+    place = np.asarray(position, dtype=np.float64)
+    forward = np.asarray(target, dtype=np.float64) - place
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    if not np.linalg.norm(right) > 1e-9 * max(1.0, float(np.linalg.norm(forward))):
+        raise ConfigError(
+            f"A camera at {place.tolist()} that looks at {list(target)} with {list(up)} upwards has no "
+            "direction: move one of the points, or give another `up`."
+        )
+    frame = np.eye(4)
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    frame[:3, :3] = np.stack((right, np.cross(forward, right), forward), axis=-1)
+    frame[:3, 3] = place
+    return frame
 
 
 class Camera(ABC):

@@ -7,112 +7,189 @@ from dataclasses import dataclass
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from scipy.spatial import ConvexHull, QhullError
 
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.camera import T_EE_CAMERA, Camera, CameraIntrinsics, View
-from torchgrasp.sim.panda_tables import hand_boxes
+from torchgrasp.sim.panda_pose import ARM_SIZES, HAND_SIZES, arm_poses, half_extents, hand_poses
+from torchgrasp.sim.rays import corners, first_surface, picture_window
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
+
+_SIZES = (*ARM_SIZES, *HAND_SIZES)
+_HALVES = np.stack([half_extents(size) for size in _SIZES])
+_RADII = np.linalg.norm(_HALVES, axis=-1)
 
 
 class RaycastCamera(Camera):
-    """Depth and target mask of the wrist camera, by Embree for the target, in closed form for the rest.
+    """Depth and target mask by Embree for the target, in closed form for the rest.
 
-    The target, the table and the robot's own fingers and hand are seen and hide each other.
+    The target, the table's top and the robot are seen and hide each other.
 
     Args:
         intrinsics: picture size, field of view and range.
         T_ee_camera: (4, 4) pose of the camera in the hand frame.
+        T_base_camera: (4, 4) pose of a static camera in the base frame, which takes the place of the
+            former.
     """
 
     def __init__(
-        self, intrinsics: CameraIntrinsics | None = None, *, T_ee_camera: np.ndarray = T_EE_CAMERA
+        self,
+        intrinsics: CameraIntrinsics | None = None,
+        *,
+        T_ee_camera: np.ndarray = T_EE_CAMERA,
+        T_base_camera: np.ndarray | None = None,
     ) -> None:
-        super().__init__(intrinsics, T_ee_camera=T_ee_camera)
+        super().__init__(intrinsics, T_ee_camera=T_ee_camera, T_base_camera=T_base_camera)
+        cam = self.intrinsics
+        self._rays = cam.rays.reshape(cam.height, cam.width, 3)
         self._hand_depths: dict[tuple[float, ...], np.ndarray] = {}
+        # (4, 3) the picture's side planes: a ball that lies beyond one of them is out of sight.
+        x, y = cam.width / 2 / cam.focal, cam.height / 2 / cam.focal
+        planes = np.array([(1.0, 0.0, -x), (-1.0, 0.0, -x), (0.0, 1.0, -y), (0.0, -1.0, -y)])
+        self._sides = planes / np.linalg.norm(planes, axis=-1, keepdims=True)
+        ends = np.array([0, -1])
+        self._corner_rays = self._rays[np.ix_(ends, ends)].reshape(4, 3).T.astype(np.float64)
 
     def observe(self, view: View) -> dict[str, np.ndarray]:
         """Depth and mask, see `Camera.observe`."""
         T_base_camera = self.pose(view.T_base_ee)
-        depth = np.minimum(self._cast_table(T_base_camera), self._hand_depth(view.joints[7:]))
-        seen = self._cast_target(view.target, np.linalg.solve(view.T_base_object, T_base_camera))
-        mask = seen < depth
-        depth = np.where(mask, seen, depth)
-        depth[depth > self.intrinsics.far] = 0.0
-        mask &= depth > 0.0
-        shape = (self.intrinsics.height, self.intrinsics.width)
-        return {"depth": depth.reshape(shape), "mask": mask.reshape(shape)}
+        depth = self._cast_table(T_base_camera)
+        shapes = arm_poses(view.joints[:7])
+        if self.T_base_camera is None:
+            np.minimum(depth, self._hand_depth(view.joints[7:]), out=depth)
+        else:
+            shapes = np.concatenate((shapes, hand_poses(view.T_base_ee, view.joints[7:])))
+        self._paint_robot(depth, _inverse(T_base_camera) @ shapes)
+        mask = self._paint_target(depth, view.target, _inverse(view.T_base_object) @ T_base_camera)
+        out_of_range = depth > self.intrinsics.far
+        depth[out_of_range] = 0.0
+        mask[out_of_range] = False
+        return {"depth": depth, "mask": mask}
 
-    def _cast_target(self, target: GraspObject, T_object_camera: np.ndarray) -> np.ndarray:
-        """(H*W,) depth of the target, inf where it is missed. Only the rays of its outline's box are cast."""
-        depth = np.full(len(self.intrinsics.rays), np.inf, dtype=np.float32)
-        window = self._window(target, T_object_camera)
-        if not len(window):
-            return depth
+    def _paint_target(
+        self, depth: np.ndarray, target: GraspObject, T_object_camera: np.ndarray
+    ) -> np.ndarray:
+        """Put the target into a depth picture (H, W); (H, W) bool where it is seen."""
+        mask = np.zeros(depth.shape, dtype=bool)
+        surface = embree_scene(target)
+        window = self._window(surface, T_object_camera)
+        if window is None:
+            return mask
+        behind = depth[window]
         near = np.float32(self.intrinsics.near)
-        directions = self.intrinsics.rays[window] @ T_object_camera[:3, :3].T.astype(np.float32)
-        origins = T_object_camera[:3, 3].astype(np.float32) + near * directions
-        hit = embree_scene(target).scene.run(origins, directions, query="DISTANCE") + near
-        depth[window] = np.where(hit < 1e3, hit, np.inf)
-        return depth
+        directions = self._rays[window].reshape(-1, 3) @ T_object_camera[:3, :3].T.astype(np.float32)
+        origins = near * directions
+        origins += T_object_camera[:3, 3].astype(np.float32)
+        hit = surface.scene.run(origins, directions, query="DISTANCE").reshape(behind.shape) + near
+        np.less(hit, behind, out=mask[window])
+        mask[window] &= hit < 1e3  # embree answers a distance of 1e37 where a ray meets nothing
+        np.copyto(behind, hit, where=mask[window])
+        return mask
 
-    def _window(self, target: GraspObject, T_object_camera: np.ndarray) -> np.ndarray:
-        """Indices of the pixels that the target's bounding box can cover."""
-        cam = self.intrinsics
-        lower, upper = embree_scene(target).bounds
-        corners = np.stack(np.meshgrid(*zip(lower, upper, strict=True)), axis=-1).reshape(-1, 3)
-        seen = (corners - T_object_camera[:3, 3]) @ T_object_camera[:3, :3]
-        if seen[:, 2].max() <= cam.near:
-            return np.empty(0, dtype=np.int64)
-        if seen[:, 2].min() <= cam.near:
-            return np.arange(len(cam.rays))
-        pixels = seen[:, :2] / seen[:, 2:] * cam.focal + (cam.width / 2, cam.height / 2)
-        u0, v0 = np.clip(np.floor(pixels.min(axis=0)), 0, (cam.width, cam.height)).astype(int)
-        u1, v1 = np.clip(np.ceil(pixels.max(axis=0)), 0, (cam.width, cam.height)).astype(int)
-        return (np.arange(v0, v1)[:, None] * cam.width + np.arange(u0, u1)).reshape(-1)
+    def _window(self, surface: _Surface, T_object_camera: np.ndarray) -> tuple[slice, slice] | None:
+        """Rows and columns that the target's outline can cover."""
+        T_camera_object = _inverse(T_object_camera)
+        for points in (surface.hull, surface.corners):
+            seen = points @ T_camera_object[:3, :3].T + T_camera_object[:3, 3]
+            # Where the near plane cuts the target, a box's few corners are cut sooner than a hull's many.
+            if points is surface.corners or seen[:, 2].min() > self.intrinsics.near:
+                break
+        return picture_window(seen, self.intrinsics)
 
     def _cast_table(self, T_base_camera: np.ndarray) -> np.ndarray:
-        """(H*W,) depth of the table's top, inf where it is missed."""
-        x, y, z = T_base_camera[:3, :3].astype(np.float32) @ self.intrinsics.rays.T
-        origin = T_base_camera[:3, 3].astype(np.float32)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            depth = -origin[2] / z
-            hit_x, hit_y = origin[0] + depth * x, origin[1] + depth * y
-        seen = (depth > self.intrinsics.near) & (hit_x >= TABLE_LOWER[0]) & (hit_x <= TABLE_UPPER[0])
-        seen &= (hit_y >= TABLE_LOWER[1]) & (hit_y <= TABLE_UPPER[1])
-        depth[~seen] = np.inf
+        """(H, W) depth of the table's top, inf where it is missed."""
+        cam, height = self.intrinsics, float(T_base_camera[2, 3])
+        limits = _table_limits(T_base_camera, cam.near)
+        met = limits @ self._corner_rays > 0
+        if not met.any(axis=-1).all():
+            return np.full((cam.height, cam.width), np.inf, dtype=np.float32)
+        with np.errstate(divide="ignore"):
+            depth = np.float32(-height) / self._plane(T_base_camera[2, :3])
+        # What is linear in a ray is positive in the whole picture where it is so in the four corners.
+        for limit in limits[~met.all(axis=-1)]:
+            np.copyto(depth, np.inf, where=self._plane(limit) <= 0)
         return depth
 
+    def _plane(self, gradient: np.ndarray) -> np.ndarray:
+        """(H, W) float32 dot products of the rays with a (3,) vector, camera frame."""
+        a, b, c = gradient.astype(np.float32)
+        return a * self._rays[0, :, 0] + (b * self._rays[:, 0, 1] + c)[:, None]
+
+    def _paint_robot(self, depth: np.ndarray, T_camera_shape: np.ndarray) -> None:
+        """Put the robot's shapes that are in sight into a depth picture (H, W)."""
+        cam, centres, radii = self.intrinsics, T_camera_shape[:, :3, 3], _RADII[: len(T_camera_shape)]
+        hidden = (centres @ self._sides.T).max(axis=-1) > radii
+        hidden |= np.abs(centres[:, 2] - (cam.near + cam.far) / 2) > radii + (cam.far - cam.near) / 2
+        for i in np.flatnonzero(~hidden):
+            self._paint_shape(depth, _SIZES[i], _HALVES[i], T_camera_shape[i])
+
+    def _paint_shape(
+        self, depth: np.ndarray, size: tuple[float, ...], half: np.ndarray, T_camera_shape: np.ndarray
+    ) -> None:
+        cam, turn = self.intrinsics, T_camera_shape[:3, :3]
+        window = picture_window(corners(half) @ turn.T + T_camera_shape[:3, 3], cam)
+        if window is None:
+            return
+        rays = turn.T @ self._rays[window].reshape(-1, 3).T
+        seen = first_surface(-T_camera_shape[:3, 3] @ turn, rays, size, cam.near)
+        np.minimum(depth[window], seen.reshape(depth[window].shape), out=depth[window], casting="same_kind")
+
     def _hand_depth(self, fingers: np.ndarray) -> np.ndarray:
-        """(H*W,) depth of hand and fingers; kept for the openings met, to a tenth of a millimetre."""
+        """(H, W) depth of hand and fingers before the wrist camera, which move with it.
+
+        Kept for the openings met, to a tenth of a millimetre.
+        """
         opening = tuple(np.round(fingers, 4).tolist())
         if opening not in self._hand_depths:
             if len(self._hand_depths) >= 64:
                 self._hand_depths.clear()
-            self._hand_depths[opening] = self._cast_hand(*opening)
+            depth = np.full(self._rays.shape[:2], np.inf, dtype=np.float32)
+            poses = _inverse(self.T_ee_camera) @ hand_poses(np.eye(4), np.array(opening))
+            for size, half, pose in zip(HAND_SIZES, _HALVES[len(ARM_SIZES) :], poses, strict=True):
+                self._paint_shape(depth, size, half, pose)
+            self._hand_depths[opening] = depth
         return self._hand_depths[opening]
 
-    def _cast_hand(self, left: float, right: float) -> np.ndarray:
-        """(H*W,) depth of hand and fingers, which stand still before the camera at one opening."""
-        depth = np.full(len(self.intrinsics.rays), np.inf)
-        for T_ee_box, size in hand_boxes(left, right):
-            T_box_camera = np.linalg.solve(T_ee_box, self.T_ee_camera)
-            rays = self.intrinsics.rays @ T_box_camera[:3, :3].T
-            with np.errstate(divide="ignore", invalid="ignore"):
-                sides = (np.array([[-1.0], [1.0]]) * size / 2)[:, None, :] - T_box_camera[:3, 3]
-                times = sides / rays
-            enter, leave = times.min(axis=0).max(axis=-1), times.max(axis=0).min(axis=-1)
-            hit = (enter <= leave) & (leave > self.intrinsics.near)
-            # A box that reaches behind the near plane is seen from inside, as a renderer shows it.
-            seen = np.where(enter > self.intrinsics.near, enter, leave)
-            depth = np.where(hit, np.minimum(depth, seen), depth)
-        return depth.astype(np.float32)
+
+def _table_limits(T_base_camera: np.ndarray, near: float) -> np.ndarray:
+    """(6, 3) vectors whose dot products with a ray are all positive where it meets the table's top.
+
+    The ray r from c meets z = 0 at the depth -c_z / r_z, which is to be positive, then beyond `near`;
+    the place is to lie within the top's four edges. Both sides are multiplied by |r_z|.
+    """
+    turn, place = T_base_camera[:3, :3], T_base_camera[:3, 3]
+    side, height = np.sign(place[2]), abs(place[2])
+    down = -side * turn[2]
+    edges = [
+        sign * (height * turn[axis] + (place[axis] - edge) * down)
+        for sign, corner in ((1.0, TABLE_LOWER), (-1.0, TABLE_UPPER))
+        for axis, edge in enumerate(corner[:2])
+    ]
+    return np.array([down, (0.0, 0.0, height) - near * down, *edges])
+
+
+def _inverse(pose: np.ndarray) -> np.ndarray:
+    """The inverse of a (4, 4) pose."""
+    out = np.eye(4)
+    out[:3, :3] = pose[:3, :3].T
+    out[:3, 3] = -pose[:3, 3] @ pose[:3, :3]
+    return out
 
 
 @dataclass(frozen=True)
 class _Surface:
+    """A target ready for rays.
+
+    Attributes:
+        scene, mesh: Embree's.
+        hull: (K, 3) the vertices of the convex hull.
+        corners: (8, 3) of the bounding box.
+    """
+
     scene: EmbreeScene
     mesh: TriangleMesh
-    bounds: tuple[np.ndarray, np.ndarray]
+    hull: np.ndarray
+    corners: np.ndarray
 
 
 _surfaces: dict[str, _Surface] = {}
@@ -126,8 +203,18 @@ def embree_scene(target: GraspObject) -> _Surface:
         scene = EmbreeScene()
         vertices = np.ascontiguousarray(target.vertices, dtype=np.float32)
         mesh = TriangleMesh(scene, vertices, np.ascontiguousarray(target.faces, dtype=np.int32))
-        surface = _Surface(scene, mesh, (vertices.min(axis=0) - 1e-4, vertices.max(axis=0) + 1e-4))
+        surface = _Surface(scene, mesh, *_outline(vertices.astype(np.float64)))
     _surfaces[target.content_hash] = surface
     if len(_surfaces) > _MAX_SURFACES:
         _surfaces.pop(next(iter(_surfaces)))
     return surface
+
+
+def _outline(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The hull's vertices and the bounding box's corners of (V, 3) vertices."""
+    lower, upper = vertices.min(axis=0), vertices.max(axis=0)
+    box = (lower + upper) / 2 + corners((upper - lower) / 2 + 1e-4)
+    try:
+        return vertices[ConvexHull(vertices).vertices], box
+    except QhullError:  # flat
+        return box, box

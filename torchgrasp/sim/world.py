@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,8 +128,8 @@ class World:
             self._target.wake_up()
         self._step(0.05, physics.close_rate)
 
-    def lift(self) -> None:
-        """Raise the hand straight up by lift_height, as far as the arm reaches."""
+    def lift(self) -> Iterator[None]:
+        """Raise the hand straight up by lift_height, as far as the arm reaches, stage by stage."""
         physics = self.placement.physics
         T_base_ee = kinematics.forward_kinematics(self.joints[None, :7])
         q, seconds = self.joints[None, :7], physics.lift_seconds / _LIFT_STAGES
@@ -137,8 +138,10 @@ class World:
             start = q[0]
             q, _ = track_pose(q, T_base_ee)
             self._follow(start, q[0], seconds, physics.lift_rate)
+            yield
         self._panda.drive_arm_velocity(np.zeros(7))
         self._step(0.1, physics.lift_rate)
+        yield
 
     def _follow(self, start: np.ndarray, end: np.ndarray, seconds: float, rate: int) -> None:
         """Lead the drives from start to end at an even pace, their rate fed forward against the lag."""

@@ -5,7 +5,7 @@ The seam behind which another physics backend can stand: nothing outside sim/ se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,10 +19,15 @@ class Worlds:
 
     Args:
         num_worlds: N.
+
+    Attributes:
+        watcher: called with a world's row after its fingers closed and at each stage of its lift, between
+            which nothing is observed; how films show them.
     """
 
     def __init__(self, num_worlds: int) -> None:
         self._worlds: list[World | None] = [None] * num_worlds
+        self.watcher: Callable[[int], None] | None = None
         self._joints, self._joint_velocities = np.zeros((2, num_worlds, 9))
         self._T_base_ee, self._T_base_object = np.tile(np.eye(4), (2, num_worlds, 1, 1))
 
@@ -91,12 +96,19 @@ class Worlds:
         self._placed()[row].move_target(T_base_object)
         self._read([row])
 
+    def _show(self, row: int) -> None:
+        if self.watcher is not None:
+            self._read([row])
+            self.watcher(row)
+
     def close_and_lift(self, rows: Sequence[int]) -> np.ndarray:
         """Close the fingers and lift in the worlds `rows`; (len(rows),) metres that each target rose."""
         worlds = self._placed()
         before = self._T_base_object[list(rows), 2, 3]
         for row in rows:
             worlds[row].close_fingers()
-            worlds[row].lift()
+            self._show(row)
+            for _ in worlds[row].lift():
+                self._show(row)
         self._read(rows)
         return self._T_base_object[list(rows), 2, 3] - before

@@ -2,7 +2,14 @@
 
 from torchgrasp.transforms.aggregate import AggregatePoints as AggregatePoints
 from torchgrasp.transforms.base import PointTransform as PointTransform
+from torchgrasp.transforms.delay import DelayObservation as DelayObservation
 from torchgrasp.transforms.depth import DepthToPoints as DepthToPoints
+from torchgrasp.transforms.depth_noise import DepthNoise as DepthNoise
+from torchgrasp.transforms.faults import DropPoints as DropPoints
+from torchgrasp.transforms.faults import JitterPoints as JitterPoints
 from torchgrasp.transforms.gripper import AppendGripperPoints as AppendGripperPoints
+from torchgrasp.transforms.history import HistoryTransform as HistoryTransform
+from torchgrasp.transforms.image import CameraImage as CameraImage
 from torchgrasp.transforms.mirror import RandomMirror as RandomMirror
+from torchgrasp.transforms.pose_error import CameraPoseError as CameraPoseError
 from torchgrasp.transforms.sample import SamplePoints as SamplePoints

@@ -1,13 +1,19 @@
-"""What the point transforms share: where they are called, and randomness that belongs to a world."""
+"""What the transforms share: where they are called, numpy at their core, randomness of a world's own."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import Literal
+
+import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
+from torchgrasp import keys
+from torchgrasp.errors import ConfigError
 from torchgrasp.randomness import MomentGenerators
 
 
@@ -22,11 +28,12 @@ class PointTransform(Transform):
         in_keys: what is read.
         out_keys: what is written.
         seed: of the transform's own randomness.
+        per_episode: whether a draw holds for a whole episode rather than for one step.
     """
 
-    def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0) -> None:
+    def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0, per_episode: bool = False) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._generators = MomentGenerators(seed, purpose=type(self).__name__)
+        self._generators = MomentGenerators(seed, purpose=type(self).__name__, per_episode=per_episode)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Transform the tensordict and, where there is one, its "next"."""
@@ -50,14 +57,49 @@ class PointTransform(Transform):
         return observation_spec
 
 
-def flat_batch(tensor: Tensor, tensordict: TensorDictBase) -> Tensor:
-    """The tensor with its batch dimensions made one."""
-    return tensor.reshape(-1, *tensor.shape[tensordict.batch_dims :])
+CameraName = Literal["wrist", "overhead"]
 
 
-def pad_clouds(clouds: list[Tensor], width: int) -> tuple[Tensor, Tensor]:
-    """Clouds (n_i, 3) to (B, width, 3), zeros behind, and their (B, 1) numbers of points."""
-    out = clouds[0].new_zeros(len(clouds), width, 3)
+def camera_keys(name: CameraName) -> keys.CameraKeys:
+    """Keys of the wrist camera or of the static one."""
+    if name not in ("wrist", "overhead"):
+        raise ConfigError(f"camera={name!r} of a transform is unknown: give wrist or overhead.")
+    return keys.WRIST if name == "wrist" else keys.OVERHEAD
+
+
+# Clouds are of another size in every world, so that their rows are handled one by one: there numpy takes
+# a fraction of the time that torch takes for its many small operations.
+def read_rows(tensordict: TensorDictBase, *names: NestedKey) -> list[np.ndarray]:
+    """(B, ...) arrays of the named entries, the batch dimensions made one; not to be written to."""
+    batch_dims = tensordict.batch_dims
+    tensors: Iterable[Tensor] = (tensordict.get(name) for name in names)
+    return [each.detach().reshape(-1, *each.shape[batch_dims:]).cpu().numpy() for each in tensors]
+
+
+def write_rows(tensordict: TensorDictBase, name: NestedKey, rows: np.ndarray) -> None:
+    """Set an entry from its (B, ...) rows, in the batch shape and on the device of the tensordict."""
+    tensor = torch.from_numpy(rows).reshape(*tensordict.batch_size, *rows.shape[1:])
+    tensordict.set(name, tensor if tensordict.device is None else tensor.to(tensordict.device))
+
+
+def check_is_cloud(name: str, points: np.ndarray) -> None:
+    """Raise ConfigError where the gripper's points and the flag channel are in POINTS already."""
+    if points.shape[-1] != 3:
+        raise ConfigError(
+            f"{name} was given points of {points.shape[-1]} channels instead of xyz: "
+            "put it before AppendGripperPoints."
+        )
+
+
+def pad_clouds(clouds: Sequence[np.ndarray], width: int) -> np.ndarray:
+    """Clouds (n_i, 3) to (B, width, 3), zeros behind."""
+    out = np.zeros((len(clouds), width, 3), dtype=np.float32)
     for row, cloud in zip(out, clouds, strict=True):
         row[: len(cloud)] = cloud
-    return out, torch.tensor([[len(cloud)] for cloud in clouds])
+    return out
+
+
+def write_clouds(tensordict: TensorDictBase, points: np.ndarray, counts: Sequence[int]) -> None:
+    """Set POINTS from (B, N, 3) rows and NUM_POINTS from how many of each are points."""
+    write_rows(tensordict, keys.POINTS, points)
+    write_rows(tensordict, keys.NUM_POINTS, np.array(counts, dtype=np.int64)[:, None])

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
 from torchrl.data import Composite
 
 from torchgrasp import keys
 from torchgrasp.errors import check_range
-from torchgrasp.geometry import invert_pose, transform_points
-from torchgrasp.transforms.base import PointTransform, flat_batch, pad_clouds
+from torchgrasp.transforms.base import (
+    CameraName,
+    PointTransform,
+    camera_keys,
+    pad_clouds,
+    read_rows,
+    write_clouds,
+)
 
 
 class DepthToPoints(PointTransform):
@@ -23,6 +29,7 @@ class DepthToPoints(PointTransform):
 
     Args:
         fov: the camera's vertical field of view, radians.
+        camera: whose picture: the wrist's, or the static one's with its pose T_BASE_OVERHEAD.
 
     Example:
         >>> import torch; from tensordict import TensorDict
@@ -32,46 +39,46 @@ class DepthToPoints(PointTransform):
         8
     """
 
-    def __init__(self, *, fov: float = math.pi / 2) -> None:
+    def __init__(self, *, fov: float = math.pi / 2, camera: CameraName = "wrist") -> None:
         check_range("transforms.points.fov", fov, 0.0, math.pi * 0.95, open_low=True)
+        source = camera_keys(camera)
         super().__init__(
-            in_keys=[keys.DEPTH, keys.MASK, keys.T_BASE_EE, keys.T_BASE_CAMERA],
+            in_keys=[source.depth, source.mask, keys.T_BASE_EE, source.pose],
             out_keys=[keys.POINTS, keys.NUM_POINTS],
         )
         self.fov = fov
-        self._rays: Tensor | None = None
-        self._rays_of: tuple[int, int, torch.device] | None = None
+        self._rays = np.empty((0, 3), dtype=np.float32)
+        self._rays_of = (0, 0)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        depth, mask, T_base_ee, T_base_camera = (
-            flat_batch(next_tensordict.get(key), next_tensordict) for key in self.in_keys
-        )
+        depth, mask, T_base_ee, T_base_camera = read_rows(next_tensordict, *self.in_keys)
         height, width = depth.shape[-2:]
-        rays = self._pixel_rays(height, width, depth.device)
-        seen = (mask & (depth > 0)).reshape(len(depth), -1)
-        depth = depth.reshape(len(depth), -1)
-        T_ee_camera = invert_pose(T_base_ee) @ T_base_camera
+        rays = self._pixel_rays(height, width)
         clouds = []
-        for row, pixels in enumerate(seen):
-            index = pixels.nonzero()[:, 0]
-            clouds.append(transform_points(T_ee_camera[row], rays[index] * depth[row, index, None]))
-        points, counts = pad_clouds(clouds, height * width)
-        batch = next_tensordict.batch_size
-        next_tensordict.set(keys.POINTS, points.reshape(*batch, -1, 3))
-        next_tensordict.set(keys.NUM_POINTS, counts.reshape(*batch, 1).to(points.device))
+        for row in range(len(depth)):
+            index = np.flatnonzero(mask[row])
+            z = depth[row].reshape(-1).take(index)
+            if (z <= 0).any():
+                index, z = index[z > 0], z[z > 0]
+            # T_ee_camera = T_base_ee^-1 T_base_camera, of rigid poses.
+            to_ee = T_base_ee[row, :3, :3].T @ T_base_camera[row, :3]
+            to_ee[:, 3] -= T_base_ee[row, :3, :3].T @ T_base_ee[row, :3, 3]
+            clouds.append((rays.take(index, axis=0) * z[:, None]) @ to_ee[:, :3].T + to_ee[:, 3])
+        points = pad_clouds(clouds, height * width)
+        write_clouds(next_tensordict, points, [len(cloud) for cloud in clouds])
         return next_tensordict
 
-    def _pixel_rays(self, height: int, width: int, device: torch.device) -> Tensor:
+    def _pixel_rays(self, height: int, width: int) -> np.ndarray:
         """(H W, 3) directions through the pixels' centres, camera frame (OpenCV), z = 1."""
-        if self._rays is None or self._rays_of != (height, width, device):
+        if self._rays_of != (height, width):
             focal = height / 2 / math.tan(self.fov / 2)
-            v = (torch.arange(height, device=device) + 0.5 - height / 2) / focal
-            u = (torch.arange(width, device=device) + 0.5 - width / 2) / focal
-            v, u = torch.meshgrid(v, u, indexing="ij")
-            self._rays_of = (height, width, device)
-            self._rays = torch.stack((u, v, torch.ones_like(u)), dim=-1).reshape(-1, 3)
+            v = (np.arange(height, dtype=np.float32) + 0.5 - height / 2) / focal
+            u = (np.arange(width, dtype=np.float32) + 0.5 - width / 2) / focal
+            u, v = np.meshgrid(u, v)
+            self._rays = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3)
+            self._rays_of = (height, width)
         return self._rays
 
     def _out_shapes(self, observation_spec: Composite) -> dict:
-        height, width = observation_spec[keys.DEPTH].shape[-2:]
+        height, width = observation_spec[self.in_keys[0]].shape[-2:]
         return {keys.POINTS: ((height * width, 3), torch.float32), keys.NUM_POINTS: ((1,), torch.int64)}

@@ -22,17 +22,18 @@ class AppendGripperPoints(PointTransform):
 
     def __init__(self) -> None:
         super().__init__(in_keys=[keys.POINTS], out_keys=[keys.POINTS])
+        points = gripper_control_points()
+        self._marked = torch.cat((points, torch.ones_like(points[:, :1])), dim=-1)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         points = next_tensordict.get(keys.POINTS)
-        gripper = gripper_control_points(dtype=points.dtype, device=points.device)
-        gripper = gripper.expand(*points.shape[:-2], *gripper.shape)
-        cloud = torch.cat((points, gripper), dim=-2)
-        flag = torch.zeros_like(cloud[..., :1])
-        flag[..., -gripper.shape[-2] :, :] = 1.0
-        next_tensordict.set(keys.POINTS, torch.cat((cloud, flag), dim=-1))
+        num_points = points.shape[-2]
+        cloud = points.new_zeros(*points.shape[:-2], num_points + len(self._marked), 4)
+        cloud[..., :num_points, :3] = points
+        cloud[..., num_points:, :] = self._marked.to(points)
+        next_tensordict.set(keys.POINTS, cloud)
         return next_tensordict
 
     def _out_shapes(self, observation_spec: Composite) -> dict:
         num_points = observation_spec[keys.POINTS].shape[-2]
-        return {keys.POINTS: ((num_points + len(gripper_control_points()), 4), torch.float32)}
+        return {keys.POINTS: ((num_points + len(self._marked), 4), torch.float32)}

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
-from torchgrasp.transforms.base import PointTransform, flat_batch
+from torchgrasp.transforms.base import PointTransform, check_is_cloud, read_rows, write_clouds
 
 
 class SamplePoints(PointTransform):
@@ -37,17 +38,16 @@ class SamplePoints(PointTransform):
         self.num_points = num_points
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        points, counts = (flat_batch(next_tensordict.get(key), next_tensordict) for key in self.in_keys)
-        out = points.new_zeros(len(points), self.num_points, 3)
+        points, counts = read_rows(next_tensordict, *self.in_keys)
+        check_is_cloud("SamplePoints", points)
+        out = np.zeros((len(points), self.num_points, 3), dtype=np.float32)
         for row, rng in enumerate(self._generators(next_tensordict)):
-            if n := int(counts[row]):
-                order = rng.permutation(n)[: self.num_points]
-                again = rng.integers(n, size=self.num_points - len(order))
-                out[row, : len(order)] = points[row, torch.from_numpy(order)]
-                out[row, len(order) :] = points[row, torch.from_numpy(again)]
-        batch = next_tensordict.batch_size
-        next_tensordict.set(keys.POINTS, out.reshape(*batch, self.num_points, 3))
-        next_tensordict.set(keys.NUM_POINTS, counts.clamp_max(self.num_points).reshape(*batch, 1))
+            if n := int(counts[row, 0]):
+                index = rng.permutation(n)[: self.num_points]
+                if n < self.num_points:
+                    index = np.concatenate((index, rng.integers(n, size=self.num_points - n)))
+                out[row] = points[row].take(index, axis=0)
+        write_clouds(next_tensordict, out, np.minimum(counts[:, 0], self.num_points).tolist())
         return next_tensordict
 
     def _out_shapes(self, observation_spec: Composite) -> dict:

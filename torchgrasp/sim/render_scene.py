@@ -1,0 +1,252 @@
+"""The one scene of a process in which things are rendered: robot, table, surroundings, targets."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import sapien
+from numpy.typing import NDArray
+from sapien import Pose
+
+from torchgrasp.errors import RenderError
+from torchgrasp.objects.model import GraspObject
+from torchgrasp.sim.appearance import Appearance
+from torchgrasp.sim.camera import CameraIntrinsics
+from torchgrasp.sim.panda_pose import ARM_SIZES, HAND_SIZES, half_extents
+from torchgrasp.sim.probe import REMEDY
+from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
+from torchgrasp.sim.visuals import Visual, box_visual, capsule_visual, mesh_visual, rectangle_visual
+
+# Shaders of SAPIEN: "default" lights and shades; "trivial" gives positions and identities only.
+_SHADERS = Path(sapien.__file__).parent / "vulkan_shader"
+_MAX_TARGETS = 32
+_MAX_TEXTURES = 48
+_FLOOR = -0.75
+# Depth to which things are drawn, metres: beyond a camera's range they are seen in colour only.
+_DRAWN = 40.0
+_SHADOW_MAP, _SHADOW_REACH = 1024, 1.0
+_GREY, _DARK, _METAL = (0.55, 0.57, 0.6), (0.12, 0.12, 0.13), (0.75, 0.75, 0.78)
+
+
+class RenderScene:
+    """Everything that can be seen, moved and dressed anew for each picture; there is no physics in it.
+
+    Targets come and go: the last 32 stay in memory, one is shown.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._system = sapien.render.RenderSystem()
+        except RuntimeError as error:
+            raise RenderError(f"SAPIEN's renderer does not start ({error}): {REMEDY}") from None
+        self._scene = sapien.Scene([self._system])
+        self._cameras: dict[tuple[CameraIntrinsics, str], sapien.render.RenderCameraComponent] = {}
+        self._targets: dict[str, sapien.Entity] = {}
+        self._textures: dict[bytes, sapien.render.RenderTexture2D] = {}
+        self._shown: sapien.Entity | None = None
+        self._look: Appearance | None = None
+        self._materials = {name: _matt() for name in ("target", "table", "floor")}
+        self._robot_materials: list[tuple[sapien.render.RenderMaterial, NDArray]] = []
+        self._robot = [self._add_robot_shape(i) for i in range(len(ARM_SIZES) + len(HAND_SIZES))]
+        self._table = self._add(
+            rectangle_visual(TABLE_LOWER, TABLE_UPPER, repeats=1.0), self._materials["table"]
+        )
+        self._seen = {entity.per_scene_id for entity in (*self._robot, self._table)}
+        self._add_surroundings()
+        self._sun = self._add_light(shadow=True)
+        self._fill = self._add_light(shadow=False)
+
+    def arrange(
+        self, target: GraspObject, T_base_object: NDArray, robot: NDArray, appearance: Appearance
+    ) -> None:
+        """Show one state of a world.
+
+        Args:
+            target: the object that is shown, alone of all.
+            T_base_object: (4, 4) its pose.
+            robot: (S, 4, 4) poses of the robot's shapes, arm then hand, base frame.
+            appearance: textures and light.
+        """
+        for entity, pose in zip(self._robot, robot.astype(np.float32), strict=True):
+            entity.set_pose(Pose(pose))
+        self._show(target)
+        assert self._shown is not None
+        self._shown.set_pose(Pose(T_base_object.astype(np.float32)))
+        if appearance is not self._look:
+            self._dress(appearance)
+            self._look = appearance
+
+    def picture(self, cam: CameraIntrinsics, T_base_camera: NDArray, *, colour: bool) -> dict[str, NDArray]:
+        """Depth, mask and, where `colour`, RGB of what was arranged; shapes as `Camera.observe`'s."""
+        camera = self._camera(cam, "default" if colour else "trivial")
+        camera.entity.set_pose(Pose((T_base_camera @ _SAPIEN_AXES).astype(np.float32)))
+        self._system.step()  # brings every pose, the camera's too, to the renderer
+        camera.take_picture()
+        depth = -camera.get_picture("Position")[..., 2]
+        identity = camera.get_picture("Segmentation")[..., 1]
+        assert self._shown is not None
+        mask = identity == self._shown.per_scene_id
+        seen = mask | np.isin(identity, list(self._seen))
+        seen &= depth <= cam.far
+        out = {"depth": np.where(seen, depth, np.float32(0.0)), "mask": mask & seen}
+        if colour:
+            rgb = np.clip(camera.get_picture("Color")[..., :3], 0.0, 1.0)
+            out["rgb"] = (rgb * 255 + 0.5).astype(np.uint8)
+        return out
+
+    def _camera(self, cam: CameraIntrinsics, shader: str) -> sapien.render.RenderCameraComponent:
+        if (cam, shader) not in self._cameras:
+            camera = sapien.render.RenderCameraComponent(cam.width, cam.height, str(_SHADERS / shader))
+            camera.set_perspective_parameters(
+                max(cam.near, 1e-3),
+                max(_DRAWN, cam.far),
+                cam.focal,
+                cam.focal,
+                cam.width / 2,
+                cam.height / 2,
+                0,
+            )
+            entity = sapien.Entity()
+            entity.add_component(camera)
+            self._scene.add_entity(entity)
+            self._cameras[cam, shader] = camera
+        return self._cameras[cam, shader]
+
+    def _show(self, target: GraspObject) -> None:
+        """Let `target` be the one object that stands in the scene."""
+        entity = self._targets.pop(target.content_hash, None)
+        if entity is None:
+            visual = mesh_visual(target.vertices, target.faces, repeats=6.0)
+            entity = _entity(visual, self._materials["target"])
+        self._targets[target.content_hash] = entity
+        if len(self._targets) > _MAX_TARGETS:
+            self._targets.pop(next(iter(self._targets)))
+        if entity is not self._shown:
+            if self._shown is not None:
+                self._scene.remove_entity(self._shown)
+            self._scene.add_entity(entity)
+            self._shown = entity
+
+    def _dress(self, appearance: Appearance) -> None:
+        for name, material in self._materials.items():
+            material.set_base_color_texture(self._texture(getattr(appearance, name)))
+        for material, colour in self._robot_materials:
+            material.set_base_color([*(colour * appearance.robot), 1.0])
+        away = appearance.light_from / np.linalg.norm(appearance.light_from)
+        self._sun.entity.set_pose(_looking_along(-away, np.array((0.6, 0.0, 0.0)) + 3.0 * away))
+        self._sun.color = appearance.light.tolist()
+        # A weaker light from the other side keeps the sun's shadow side from being flat.
+        other = away * (-1.0, -1.0, 1.0)
+        self._fill.entity.set_pose(_looking_along(-other, 3.0 * other))
+        self._fill.color = (0.25 * appearance.light).tolist()
+        self._system.ambient_light = appearance.ambient.tolist()
+
+    def _texture(self, pixels: NDArray[np.uint8]) -> sapien.render.RenderTexture2D:
+        """A texture of (S, S, 4) pixels; the last 48 are kept."""
+        key = pixels.tobytes()
+        texture = self._textures.pop(key, None)
+        if texture is None:
+            texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", 1, "linear", "mirror", srgb=True)
+        self._textures[key] = texture
+        if len(self._textures) > _MAX_TEXTURES:
+            self._textures.pop(next(iter(self._textures)))
+        return texture
+
+    def _add(self, visual: Visual, material: sapien.render.RenderMaterial) -> sapien.Entity:
+        entity = _entity(visual, material)
+        self._scene.add_entity(entity)
+        return entity
+
+    def _add_robot_shape(self, index: int) -> sapien.Entity:
+        size = (*ARM_SIZES, *HAND_SIZES)[index]
+        visual = box_visual(half_extents(size)) if len(size) == 3 else capsule_visual(*size)
+        colour = np.array(_robot_colour(index))
+        material = _matt(roughness=0.5, specular=0.4)
+        self._robot_materials.append((material, colour))
+        return self._add(visual, material)
+
+    def _add_surroundings(self) -> None:
+        """Floor, the table's sides and legs, the robot's pedestal: seen in colour, never in depth."""
+        floor = rectangle_visual(np.array((-25.0, -25.0)), np.array((25.0, 25.0)), repeats=0.5)
+        self._add(floor, self._materials["floor"]).set_pose(Pose([0.0, 0.0, _FLOOR]))
+        wood, metal = _matt(), _matt(roughness=0.6)
+        wood.set_base_color([0.33, 0.24, 0.16, 1.0])
+        metal.set_base_color([*_GREY, 1.0])
+        half, middle = (TABLE_UPPER - TABLE_LOWER) / 2, (TABLE_UPPER + TABLE_LOWER) / 2
+        # A hair below z = 0, where the top that depth knows of lies.
+        self._add(box_visual(half), wood).set_pose(Pose(middle - (0.0, 0.0, 1e-3)))
+        for x in (-1.0, 1.0):
+            for y in (-1.0, 1.0):
+                place = middle + (half - 0.06) * (x, y, 0.0)
+                place[2] = (_FLOOR + TABLE_LOWER[2]) / 2
+                leg = box_visual(np.array((0.025, 0.025, (TABLE_LOWER[2] - _FLOOR) / 2 - 1e-3)))
+                self._add(leg, metal).set_pose(Pose(place))
+        pedestal = box_visual(np.array((0.13, 0.13, -_FLOOR / 2 - 1e-3)))
+        self._add(pedestal, metal).set_pose(Pose([-0.04, 0.0, _FLOOR / 2]))
+
+    def _add_light(self, *, shadow: bool) -> sapien.render.RenderDirectionalLightComponent:
+        light = sapien.render.RenderDirectionalLightComponent()
+        light.shadow = shadow
+        if shadow:
+            light.shadow_map_size = _SHADOW_MAP
+            light.shadow_half_size = _SHADOW_REACH
+            light.shadow_near, light.shadow_far = 1.0, 6.0
+        entity = sapien.Entity()
+        entity.add_component(light)
+        self._scene.add_entity(entity)
+        return light
+
+
+# OpenCV's camera axes (z forward, x right, y down) as SAPIEN's (x forward, y left, z up).
+_SAPIEN_AXES = np.array([[0, -1.0, 0, 0], [0, 0, -1.0, 0], [1.0, 0, 0, 0], [0, 0, 0, 1.0]])
+
+_current: tuple[int, RenderScene] | None = None
+
+
+def render_scene() -> RenderScene:
+    """The scene of this process, built at the first call."""
+    global _current
+    if _current is None:
+        _current = (os.getpid(), RenderScene())
+    if _current[0] != os.getpid():
+        raise RenderError(
+            "A process that has rendered was forked, and its renderer does not survive that: start the "
+            "workers by 'spawn' (ParallelEnv(..., mp_start_method='spawn')), or render in them alone."
+        )
+    return _current[1]
+
+
+def _matt(*, roughness: float = 0.9, specular: float = 0.1) -> sapien.render.RenderMaterial:
+    return sapien.render.RenderMaterial(roughness=roughness, specular=specular)
+
+
+def _robot_colour(index: int) -> tuple[float, float, float]:
+    """White links, dark joints of the elbow and wrist, a dark hand with metal fingers."""
+    if index < len(ARM_SIZES):
+        return (0.9, 0.9, 0.92) if index % 2 else (0.72, 0.74, 0.77)
+    return _DARK if index == len(ARM_SIZES) else _METAL
+
+
+def _entity(visual: Visual, material: sapien.render.RenderMaterial) -> sapien.Entity:
+    """An entity that shows a mesh, made from arrays: SAPIEN caches what it reads from files."""
+    body = sapien.render.RenderBodyComponent()
+    body.attach(
+        sapien.render.RenderShapeTriangleMesh(
+            visual.vertices, visual.faces, visual.normals, visual.uvs, material
+        )
+    )
+    entity = sapien.Entity()
+    entity.add_component(body)
+    return entity
+
+
+def _looking_along(direction: NDArray, place: NDArray) -> Pose:
+    """A pose whose x axis is the (3,) unit `direction`."""
+    side = np.cross((0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (0.0, 1.0, 0.0), direction)
+    side /= np.linalg.norm(side)
+    frame = np.eye(4)
+    frame[:3, :3] = np.stack((direction, side, np.cross(direction, side)), axis=-1)
+    frame[:3, 3] = place
+    return Pose(frame)
