@@ -52,6 +52,8 @@ class FileObjects(ObjectSet):
         workers: processes that `prepare` uses.
     """
 
+    _remedy = "Give another scale=, resize=True, a lower min_grasps=, or on_error='skip'."
+
     def __init__(
         self,
         sources: Sequence[Source],
@@ -119,8 +121,7 @@ class FileObjects(ObjectSet):
             sides = " x ".join(f"{100 * side:.1f}" for side in built.size)
             raise ObjectError(
                 f"{source.file} has {len(built.grasps)} grasps where min_grasps={self.min_grasps} are needed:"
-                f" it measures {sides} cm and the hand opens 8 cm. Give another scale=, resize=True, a lower"
-                " min_grasps=, or on_error='skip'."
+                f" it measures {sides} cm and the hand opens 8 cm. {self._remedy}"
             )
         return built
 

@@ -106,13 +106,13 @@ def _choose(
                 raise ObjectError(f"include has {name!r}, but {folder} holds {', '.join(list(named)[:20])}.")
         named = {name: named[name] for name in include}
     if split is not None:
-        named = {name: file for name, file in named.items() if _split_of(name) == split}
+        named = {name: file for name, file in named.items() if split_of(name) == split}
     if not named:
         raise ObjectError(f"No mesh in {folder} is left for split={split!r}: give split=None for all.")
     return named
 
 
-def _split_of(name: str) -> Split:
+def split_of(name: str) -> Split:
     """The split of a name, the same on every machine."""
     bucket = zlib.crc32(name.encode()) % 10
     return "train" if bucket < 8 else "val" if bucket == 8 else "test"

@@ -48,6 +48,8 @@ class PackagedObjects(FileObjects):
         concavity, num_grasps, cache_dir, workers: see `FileObjects`.
     """
 
+    _remedy = "Leave usable_only=True, which passes it over."
+
     def __init__(
         self,
         sources: Sequence[Source],

@@ -59,6 +59,10 @@ class ObjectSet(Sequence[GraspObject], ABC):
     def _build(self, index: int) -> GraspObject:
         """The object, built from nothing; the same one in every process."""
 
+    @abstractmethod
+    def licence(self, index: int) -> str:
+        """The licence of an object's shape; nothing is built for it."""
+
     def __len__(self) -> int:
         return len(self.names)
 

@@ -5,5 +5,7 @@ from torchgrasp.sim.camera import Camera as Camera
 from torchgrasp.sim.camera import CameraIntrinsics as CameraIntrinsics
 from torchgrasp.sim.camera import View as View
 from torchgrasp.sim.raycast import RaycastCamera as RaycastCamera
+from torchgrasp.sim.settle import prepare_resting as prepare_resting
+from torchgrasp.sim.settle import settled_poses as settled_poses
 from torchgrasp.sim.world import Physics as Physics
 from torchgrasp.sim.worlds import Worlds as Worlds

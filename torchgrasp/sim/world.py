@@ -107,6 +107,10 @@ class World:
         change = change / max(1.0, float(np.max(np.abs(change) / reach)))
         self._follow(start, start + change, seconds, self.physics.approach_rate)
 
+    def float_target(self, on: bool) -> None:
+        """Take the target's weight away, or give it back."""
+        self._target.disable_gravity = on
+
     def close_fingers(self) -> None:
         """Close the fingers on whatever is between them."""
         self._panda.drive_arm_velocity(np.zeros(7))
