@@ -19,7 +19,6 @@ from tensordict.nn import TensorDictSequential
 from torchgrasp.data import append_shard, count_shards, open_demonstrations
 from torchgrasp.data.files import write_json_atomically
 from torchgrasp.errors import ConfigError
-from torchgrasp.planning import ExpertPolicy
 from torchgrasp.training import EpisodePool, Progress, one_line_errors
 
 # Rounds of all worlds in a file of demonstrations, which is written whole or not at all.
@@ -43,7 +42,7 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
         card = open_demonstrations(path).card
     wanted, have = cfg.demonstrations.steps, card.get("successful_steps", 0)
     progress = Progress(wanted, initial=min(wanted, have), description="demonstrations", unit="step")
-    expert = ExpertPolicy(common.make_objects(cfg, "train"), horizon=cfg.env.horizon)
+    expert = common.make_expert(cfg, "train")
     modules: list = [expert, instantiate(cfg.collector.disturb)]
     policy = TensorDictSequential(*modules)
     for shard in count(done):

@@ -20,6 +20,8 @@ from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.geometry import gripper_control_points
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy, RandomAction
+from torchgrasp.sim import prepare_resting
+from torchgrasp.sim.control import ActionSpace, make_action_space
 from torchgrasp.training import EpisodePool, Progress, SuccessTable, load_weights
 from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
@@ -46,8 +48,8 @@ def make_env(cfg: DictConfig, split: str) -> TransformedEnv:
     options = {"seed": cfg.seed}
     if split == "test":
         options = {"seed": cfg.evaluation.seed, "num_envs": cfg.evaluation.num_envs}
-    camera = instantiate(cfg.camera)
-    env: GraspEnv = instantiate(cfg.env, objects=make_objects(cfg, split), camera=camera, **options)
+    cameras = {"camera": instantiate(cfg.camera), "overhead": instantiate(cfg.overhead)}
+    env: GraspEnv = instantiate(cfg.env, objects=make_objects(cfg, split), **cameras, **options)
     return TransformedEnv(env, Compose(*(instantiate(each) for each in cfg.transforms.values())))
 
 
@@ -75,17 +77,29 @@ def make_pool(cfg: DictConfig) -> EpisodePool:
 
 
 def prepare_objects(cfg: DictConfig, *splits: str) -> None:
-    """Build what is not cached yet, with a progress bar; the objects of both splits by default."""
+    """Build and settle what is not cached yet, with a progress bar; the objects of both splits by default."""
     for split in splits or ("train", "test"):
-        make_objects(cfg, split).prepare(workers=max(1, cfg.collector.num_workers))
+        workers = max(1, cfg.collector.num_workers)
+        prepare_resting(make_objects(cfg, split), instantiate(cfg.env.physics), workers=workers)
+
+
+def make_actions(cfg: DictConfig) -> ActionSpace:
+    """What an action means in the environment of the configuration."""
+    return make_action_space(cfg.env.action_space, control_period=instantiate(cfg.env.physics).control_period)
+
+
+def make_expert(cfg: DictConfig, split: str, *, execute: bool = True) -> ExpertPolicy:
+    """The expert for the objects of a split."""
+    objects, actions = make_objects(cfg, split), make_actions(cfg)
+    return ExpertPolicy(objects, horizon=cfg.env.horizon, action_space=actions, execute=execute)
 
 
 def make_policy(cfg: DictConfig, name: str) -> Callable:
     """The policy `name`: expert, random, or a run directory or weights file."""
     if name == "expert":
-        return ExpertPolicy(make_objects(cfg, "test"), horizon=cfg.env.horizon)
+        return make_expert(cfg, "test")
     if name == "random":
-        return RandomAction(seed=cfg.evaluation.seed)
+        return RandomAction(action_bound=make_actions(cfg).bound, seed=cfg.evaluation.seed)
     path = Path(name)
     if not path.exists():
         raise ConfigError(f"policy={name!r}: give expert, random, a run directory or a weights file.")
@@ -110,7 +124,7 @@ def evaluate(cfg: DictConfig, pool: EpisodePool, policy: Callable, description: 
     numbers = range(-(-wanted // cfg.evaluation.num_envs))
     for batch in pool.run("test", for_workers(policy), numbers):
         for episode in batch[: wanted - table.episodes]:
-            table.add(episode.object_name, episode.success)
+            table.add(episode.object_name, episode.success, cause=episode.failure)
             num_steps += len(episode.steps)
             progress.update(success_rate=table.success_rate)
     progress.close()
@@ -126,7 +140,8 @@ def record_videos(cfg: DictConfig, policy: Callable, folder: Path) -> list[Path]
     env = make_env(cfg, "test")
     base = env.base_env
     assert isinstance(base, GraspEnv)
-    recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, fov=base.cameras["camera"].intrinsics.fov)
+    fov = base.cameras["camera"].intrinsics.fov
+    recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, fov=fov)
     wanted, paths = min(cfg.video.episodes, cfg.evaluation.episodes), []
     progress = Progress(wanted, description="videos", unit="video")
     with EpisodePool({"test": lambda: env}) as pool:

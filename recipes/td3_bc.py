@@ -17,7 +17,6 @@ from learner import Learner
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.planning import ExpertPolicy
 from torchgrasp.training import (
     EpisodePool,
     MetricsLogger,
@@ -79,7 +78,7 @@ def reinforce(
 ) -> None:
     """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4)."""
     rounds = -(-cfg.collector.episodes // cfg.env.num_envs)
-    labels = ExpertPolicy(common.make_objects(cfg, "train"), horizon=cfg.env.horizon, execute=False)
+    labels = common.make_expert(cfg, "train", execute=False)
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
     policy = TensorDictSequential(*modules)
     progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")

@@ -18,7 +18,6 @@ from torchrl.envs.utils import step_mdp
 from torchgrasp import keys
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import Camera

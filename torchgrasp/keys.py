@@ -21,6 +21,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
 | GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
+| PLAN_STATUS | *, 1 int64 | whether the expert has a plan, or why not: `PlanStatus` by number |
 | PERTURBED | *, 1 bool | a disturbance, not the policy, moved the arm at this step |
 | EPISODE_SUCCESS | *, 1 bool | the episode's final reward, on each of its steps |
 | GOAL_PREDICTION | *, 7 | written by actor or critic |
@@ -55,6 +56,7 @@ EXPERT_ACTION = "expert_action"
 HAS_EXPERT = "has_expert"
 GOAL = "goal"
 HAS_GOAL = "has_goal"
+PLAN_STATUS = "plan_status"
 PERTURBED = "perturbed"
 EPISODE_SUCCESS = "episode_success"
 GOAL_PREDICTION = "goal_prediction"

@@ -33,12 +33,12 @@ def episode():
 def test_a_film_has_a_frame_for_each_state_and_the_ending(episode):
     steps, ending = episode
     frames = list(EpisodeFilm(OBJECTS, size=64, rendered=False).frames(steps[-3:], ending))
-    assert len(frames) == 3 + 1 + 1
+    assert len(frames) == 3 + 1 + len(ending) and len(ending) == 10  # closed, eight stages, at rest
     assert {frame.shape for frame in frames} == {(96, 3 * 64, 3)} and frames[0].dtype == np.uint8
     assert (frames[0] != frames[2]).any()
     # Outside, the target is elsewhere after lifting; what was sensed is what was sensed last.
-    assert (frames[-1][32:, :64] != frames[-2][32:, :64]).any()
-    assert np.array_equal(frames[-1][32:, 64:], frames[-2][32:, 64:])
+    assert (frames[-1][32:, :64] != frames[-10][32:, :64]).any()
+    assert np.array_equal(frames[-1][32:, 64:], frames[-10][32:, 64:])
 
 
 def test_the_ending_is_the_lifted_object(episode):

@@ -16,7 +16,7 @@ from torchgrasp.objects.sets import ObjectSet
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.reach import clear_grasps, in_reach
-from torchgrasp.sim.settle import settle
+from torchgrasp.sim.settle import settled_poses
 
 _MAX_TRIES = 1000
 _MIN_GRASPS = 8
@@ -123,7 +123,7 @@ class SceneSampler:
         """(K, 4, 4) proven resting poses in which at least eight grasps are clear of the table."""
         if object_id not in self._resting:
             target = self.objects[object_id]
-            poses = settle(target, self.physics)
+            poses = settled_poses(target, self.physics)
             usable = [pose for pose in poses if len(clear_grasps(target, pose)) >= _MIN_GRASPS]
             self._resting[object_id] = np.array(usable).reshape(-1, 4, 4)
         return self._resting[object_id]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from torchgrasp.objects.grasps import sample_grasps
+from torchgrasp.objects.grasps import GraspCandidates, sample_grasps
 from torchgrasp.objects.gripper import clear_of_table
 from torchgrasp.objects.model import GraspObject, content_hash
 from torchgrasp.objects.resting import resting_poses
@@ -26,12 +28,37 @@ def build_object(
         num_grasps: upper bound on the number of grasps.
         rng: decides which grasps are found.
     """
+
+    def find(centred: Solid, centre: np.ndarray, resting: np.ndarray) -> GraspCandidates:
+        return sample_grasps(
+            centred.vertices, centred.faces, centred.parts, count=num_grasps, rng=rng, resting=resting
+        )
+
+    return assemble(solid, find, name=name, family=family, licence=licence)
+
+
+def assemble(
+    solid: Solid,
+    find_grasps: Callable[[Solid, np.ndarray, np.ndarray], GraspCandidates],
+    *,
+    name: str,
+    family: str,
+    licence: str,
+) -> GraspObject:
+    """A GraspObject of the solid with grasps from wherever they come.
+
+    Args:
+        solid: surface and convex parts, metres, any frame.
+        find_grasps: called with the solid moved to its centre of mass, that centre (3,) in the given
+            frame, and the candidates for resting poses (K, 4, 4).
+        name: of the object.
+        family: of the object.
+        licence: of its shape.
+    """
     volume, centre = mass_properties(solid.parts)
     centred = solid.moved(-centre)
     poses, probability = resting_poses(np.concatenate(centred.parts))
-    grasps = sample_grasps(
-        centred.vertices, centred.faces, centred.parts, count=num_grasps, rng=rng, resting=poses
-    )
+    grasps = find_grasps(centred, centre, poses)
     arrays = {
         "vertices": centred.vertices.astype(np.float32),
         "faces": centred.faces.astype(np.int32),

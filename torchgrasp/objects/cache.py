@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO, TypeVar
 
 import numpy as np
 
+from torchgrasp.errors import ObjectError
 from torchgrasp.objects.model import GraspObject
 
+T = TypeVar("T")
 _STRINGS = ("name", "family", "licence", "content_hash")
 _ARRAYS = (
     "vertices",
@@ -46,43 +50,119 @@ def cache_key(*parts: object) -> str:
 def load_or_build(path: Path, build: Callable[[], GraspObject]) -> GraspObject:
     """The object in `path`, or a fresh one that is then stored there.
 
-    A damaged file is built again, with a warning; where the directory cannot be written, the object is
+    That it cannot be built is remembered as well: the ObjectError comes again without another attempt.
+    """
+    refused = refusal_path(path)
+
+    def attempt() -> GraspObject:
+        if refused.exists():
+            raise ObjectError(refused.read_text())
+        try:
+            return build()
+        except ObjectError as error:
+            text = str(error).encode()
+            with contextlib.suppress(OSError):  # an unwritable cache only costs the next attempt
+                write_whole(refused, lambda file: file.write(text))
+            raise
+
+    return cached(path, attempt, load=load, save=save)
+
+
+def refusal_path(path: Path) -> Path:
+    """Where it is remembered why the object of `path` cannot be built."""
+    return path.with_suffix(".refused")
+
+
+def cached(
+    path: Path, build: Callable[[], T], *, load: Callable[[Path], T], save: Callable[[Path, T], None]
+) -> T:
+    """What `path` holds, or what `build` makes, which is then stored; several processes build it once.
+
+    A damaged file is built again, with a warning; where the directory cannot be written, the result is
     returned all the same, with a warning.
     """
     if path.exists():
         try:
             return load(path)
         except Exception as error:  # whatever a damaged zip or array raises, the remedy is the same
-            warnings.warn(f"Cached object {path} is damaged ({error}): it is built again.", stacklevel=2)
-    built = build()
-    try:
-        save(path, built)
-    except OSError as error:
-        warnings.warn(
-            f"Object {built.name} could not be cached in {path.parent} ({error}): it will be built each"
-            " time. Give cache_dir= or set TORCHGRASP_CACHE to a directory that can be written.",
-            stacklevel=2,
-        )
+            warnings.warn(f"Cached {path} is damaged ({error}): it is built again.", stacklevel=2)
+            with contextlib.suppress(OSError):
+                path.unlink()
+    with locked(path):
+        if path.exists():  # another process built it meanwhile
+            with contextlib.suppress(Exception):
+                return load(path)
+        built = build()
+        try:
+            save(path, built)
+        except OSError as error:
+            warnings.warn(
+                f"{path.name} could not be cached in {path.parent} ({error}): it will be built each time."
+                " Give cache_dir= or set TORCHGRASP_CACHE to a directory that can be written.",
+                stacklevel=2,
+            )
     return built
 
 
-def save(path: Path, item: GraspObject) -> None:
-    """Write the object to `path` so that no reader ever sees half of it."""
-    arrays = {name: getattr(item, name) for name in _ARRAYS}
-    arrays |= {name: np.array(getattr(item, name)) for name in _STRINGS}
-    arrays["volume"] = np.array(item.volume)
-    arrays["part_vertices"] = np.concatenate(item.parts)
-    arrays["part_sizes"] = np.array([len(part) for part in item.parts])
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of `path` against other processes; the system frees that of a process that dies.
+
+    Where files cannot be locked (a read-only directory, some network disks), nobody waits: work is then
+    done twice at worst, because files are written whole.
+    """
+    lock = path.with_suffix(".lock")
+    handle = _acquire(lock)
+    try:
+        yield
+    finally:
+        if handle is not None:
+            with contextlib.suppress(OSError):
+                lock.unlink()  # before it is freed: who waits for it finds that it is gone and asks anew
+            os.close(handle)
+
+
+def _acquire(lock: Path) -> int | None:
+    while True:
+        try:
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            handle = os.open(lock, os.O_CREAT | os.O_RDWR)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            if os.path.samestat(os.fstat(handle), os.stat(lock)):
+                return handle
+        except FileNotFoundError:  # its last owner removed it while this process waited
+            pass
+        except OSError:
+            os.close(handle)
+            return None
+        os.close(handle)
+
+
+def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Let `write` fill a file so that no reader ever sees half of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".", suffix=".partial")
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            write(file)
         os.replace(temporary, path)
     except BaseException:
         with contextlib.suppress(OSError):
             os.unlink(temporary)
         raise
+
+
+def save(path: Path, item: GraspObject) -> None:
+    """Write the object to `path`, whole or not at all."""
+    arrays = {name: getattr(item, name) for name in _ARRAYS}
+    arrays |= {name: np.array(getattr(item, name)) for name in _STRINGS}
+    arrays["volume"] = np.array(item.volume)
+    arrays["part_vertices"] = np.concatenate(item.parts)
+    arrays["part_sizes"] = np.array([len(part) for part in item.parts])
+    write_whole(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
 
 
 def load(path: Path) -> GraspObject:

@@ -135,6 +135,20 @@ def _feasible(
 
 def _centred(poses: Array, target: RayTarget, vertices: Array, faces: NDArray) -> GraspCandidates:
     """The poses whose pads meet the object squarely, moved along y until both meet it at once."""
+    gap, coverage, tilt = _contacts(poses, target, vertices, faces)
+    width = MAX_OPENING - gap.sum(1)
+    good = (coverage > MIN_COVERAGE) & (tilt < MAX_TILT) & (width > MIN_WIDTH) & (width < MAX_WIDTH)
+    moved = poses[good]
+    moved[:, :3, 3] += moved[:, :3, 1] * (gap[good, 1:] - gap[good, :1]) / 2
+    return GraspCandidates(moved, _quality(moved, coverage[good], tilt[good], width[good]))
+
+
+def _contacts(poses: Array, target: RayTarget, vertices: Array, faces: NDArray) -> tuple[Array, Array, Array]:
+    """What the open hand's pads meet: their ways (B, 2) to it, coverage (B,) and tilt (B,).
+
+    The ways are inf where a pad meets nothing, the coverage is that of the less covered pad, the tilt
+    that of the contact that is less square.
+    """
     origins, directions = pad_rays(poses)
     distance, face = target.cast(origins.reshape(-1, 3), directions.reshape(-1, 3))
     distance = distance.reshape(origins.shape[:3])
@@ -145,12 +159,41 @@ def _centred(poses: Array, target: RayTarget, vertices: Array, faces: NDArray) -
     facing = -(normals * directions).sum(-1, keepdims=True)
     mean = _unit((np.where(facing < 0, -normals, normals) * met[..., None]).sum(2))
     tilt = np.arccos(np.clip(-(mean * directions[:, :, 0]).sum(-1), -1, 1)).max(1)
-    coverage = met.mean(2).min(1)
-    width = MAX_OPENING - gap.sum(1)
-    good = (coverage > MIN_COVERAGE) & (tilt < MAX_TILT) & (width > MIN_WIDTH) & (width < MAX_WIDTH)
-    moved = poses[good]
-    moved[:, :3, 3] += moved[:, :3, 1] * (gap[good, 1:] - gap[good, :1]) / 2
-    return GraspCandidates(moved, _quality(moved, coverage[good], tilt[good], width[good]))
+    return gap, met.mean(2).min(1), tilt
+
+
+def choose_grasps(
+    poses: Array,
+    vertices: Array,
+    faces: NDArray,
+    parts: Sequence[np.ndarray],
+    *,
+    count: int,
+    rng: np.random.Generator,
+    resting: Array,
+) -> GraspCandidates:
+    """At most `count` of grasps found elsewhere, with their half turns, far apart, as `sample_grasps` does.
+
+    Left out are those at which the open hand, or its straight approach, meets the object, and those
+    whose pads do not both meet it. The grasps are not moved.
+
+    Args:
+        poses: (B, 4, 4) `T_object_ee`, the object's centre of mass at the origin.
+        vertices: (V, 3) metres.
+        faces: (F, 3) indices.
+        parts: the convex parts.
+        count: upper bound.
+        rng: decides which points of the surface are tested.
+        resting: (K, 4, 4) poses in whose favour half of the places go.
+    """
+    dense = _clearance_points(vertices, faces, parts, rng)
+    poses = poses[~hand_blocked(dense, poses, approach=APPROACH)]
+    gap, coverage, tilt = _contacts(poses, RayTarget(vertices, faces), vertices, faces)
+    held = np.isfinite(gap).all(1) & (coverage > 0)
+    width = MAX_OPENING - gap[held].sum(1)
+    quality = _quality(poses[held], coverage[held], np.minimum(tilt[held], MAX_TILT), width)
+    pool = GraspCandidates(poses[held], quality)
+    return _with_half_turns(pool.take(_spread(pool, (count + 1) // 2, resting)), count)
 
 
 def _quality(poses: Array, coverage: Array, tilt: Array, width: Array) -> Array:

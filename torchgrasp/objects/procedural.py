@@ -16,6 +16,7 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, ObjectSet, Split
 
 _DEFAULT_SIZE: dict[Split, int] = {"train": 320, "val": 40, "test": 80}
+_LICENCE = "MIT, procedural"
 _ATTEMPTS = 20
 _GRASPABLE = 0.5  # probability of resting so that the table leaves grasps
 
@@ -71,6 +72,10 @@ class ProceduralObjects(ObjectSet):
         """``family-split-number``, in order."""
         return self._names
 
+    def licence(self, index: int) -> str:
+        """The same for all."""
+        return _LICENCE
+
     def _entropy(self, index: int) -> tuple[int, int, int, int]:
         family = self.families[index % len(self.families)]
         number = index // len(self.families)
@@ -88,7 +93,7 @@ class ProceduralObjects(ObjectSet):
                 FAMILIES[family](rng),
                 name=self._names[index],
                 family=family,
-                licence="MIT, procedural",
+                licence=_LICENCE,
                 num_grasps=self.num_grasps,
                 rng=rng,
             )

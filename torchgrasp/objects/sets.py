@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Literal, overload
 
 import numpy as np
-from tqdm import tqdm
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.objects.cache import default_cache_dir, load_or_build
+from torchgrasp.objects.cache import default_cache_dir, load_or_build, refusal_path
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.objects.parallel import run_each
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
@@ -62,6 +59,10 @@ class ObjectSet(Sequence[GraspObject], ABC):
     def _build(self, index: int) -> GraspObject:
         """The object, built from nothing; the same one in every process."""
 
+    @abstractmethod
+    def licence(self, index: int) -> str:
+        """The licence of an object's shape; nothing is built for it."""
+
     def __len__(self) -> int:
         return len(self.names)
 
@@ -74,21 +75,33 @@ class ObjectSet(Sequence[GraspObject], ABC):
             return [self[i] for i in range(*index.indices(len(self)))]
         position = range(len(self))[index]
         if position not in self._memory:
-            item = load_or_build(self._cache_path(position), lambda: self._build(position))
-            self._memory[position] = item
+            self._memory[position] = self._load(position)
             while len(self._memory) > _IN_MEMORY:
                 self._memory.popitem(last=False)
         return self._memory[position]
 
-    def draw(self, rng: np.random.Generator) -> int:
-        """The index of an object for one episode, uniform over the set."""
-        return int(rng.integers(len(self)))
+    def _load(self, index: int) -> GraspObject:
+        return load_or_build(self._cache_path(index), lambda: self._build(index))
 
     def __iter__(self) -> Iterator[GraspObject]:
         return (self[index] for index in range(len(self)))
 
     def __getstate__(self) -> dict:
         return {**self.__dict__, "_memory": OrderedDict()}
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """An index for one episode, uniform over the set; the one place where objects are drawn."""
+        return int(rng.integers(len(self)))
+
+    def refusal(self, index: int) -> str | None:
+        """Why the object cannot be used, as far as an earlier attempt to build it has told."""
+        refused = refusal_path(self._cache_path(index))
+        return refused.read_text() if refused.exists() else None
+
+    def missing(self) -> list[int]:
+        """Indices of the objects that the cache neither holds nor remembers as refused."""
+        paths = (self._cache_path(index) for index in range(len(self)))
+        return [i for i, path in enumerate(paths) if not (path.exists() or refusal_path(path).exists())]
 
     def prepare(self, *, progress: bool = True, workers: int | None = None) -> None:
         """Build what the cache lacks, with a progress bar; nothing happens where all is there.
@@ -99,36 +112,14 @@ class ObjectSet(Sequence[GraspObject], ABC):
                 ``if __name__ == "__main__":``, as always with spawned processes; without it the
                 objects are built in this process, with a warning.
         """
-        missing = [index for index in range(len(self)) if not self._cache_path(index).exists()]
-        if not missing:
-            return
-        workers = min(workers or self.workers, len(missing))
-        with tqdm(total=len(missing), desc="building objects", disable=None if progress else True) as bar:
-            if workers > 1:
-                try:
-                    self._prepare_in_processes(missing, workers, bar)
-                    return
-                except BrokenProcessPool:
-                    warnings.warn(
-                        "The building processes died or could not start (a script without"
-                        " 'if __name__ == \"__main__\":'?): the objects are built in this process.",
-                        stacklevel=2,
-                    )
-            for index in missing:
-                if not self._cache_path(index).exists():
-                    self[index]
-                    bar.update()
-
-    def _prepare_in_processes(self, missing: list[int], workers: int, bar: tqdm) -> None:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            futures = [pool.submit(_build_into_cache, self, index) for index in missing]
-            try:
-                for future in as_completed(futures):
-                    future.result()
-                    bar.update()
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+        build = partial(_build_into_cache, self)
+        run_each(
+            build,
+            self.missing(),
+            workers=workers or self.workers,
+            label="building objects",
+            progress=progress,
+        )
 
 
 def _build_into_cache(objects: ObjectSet, index: int) -> None:

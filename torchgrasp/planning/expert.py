@@ -43,7 +43,7 @@ class ExpertPolicy(TensorDictModuleBase):
     The goal is the grasp nearest to the hand by L_POSE among those that the planner found; the one
     pursued is kept until another is nearer by `loyalty`, so that neighbouring states get neighbouring
     labels. States off the expert's own path are welcome. Where there is no grasp to be had,
-    HAS_EXPERT and HAS_GOAL are false, both labels are zero, and `reasons` tells why.
+    HAS_EXPERT and HAS_GOAL are false, both labels are zero, and PLAN_STATUS tells why.
 
     Batch elements are told apart by their place in the batch, and a new episode by EPISODE or by a
     clock that went back: use one policy for one batch of worlds.
@@ -81,7 +81,7 @@ class ExpertPolicy(TensorDictModuleBase):
             keys.JOINTS,
             keys.TIME_LEFT,
         ]
-        labels = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL]
+        labels = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL, keys.PLAN_STATUS]
         self.out_keys = [*labels, keys.ACTION] if execute else labels  # pyright: ignore
         self.execute = execute
         self._pursuits: dict[int, _Pursuit] = {}
@@ -89,7 +89,7 @@ class ExpertPolicy(TensorDictModuleBase):
     @property
     def reasons(self) -> list[PlanStatus]:
         """For each world of the last batch whether there is a plan, or why not."""
-        return [self._pursuits[i].plan.status for i in sorted(self._pursuits)]
+        return [self._pursuits[i].plan.status for i in range(len(self._pursuits))]
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -155,6 +155,8 @@ class ExpertPolicy(TensorDictModuleBase):
         tensordict.set(keys.HAS_EXPERT, valid)
         tensordict.set(keys.GOAL, goal.float().reshape(*batch, GOAL_SIZE).to(device))
         tensordict.set(keys.HAS_GOAL, valid.clone())
+        status = torch.tensor([[reason.number] for reason in self.reasons])
+        tensordict.set(keys.PLAN_STATUS, status.reshape(*batch, 1).to(device))
         if self.execute:
             tensordict.set(keys.ACTION, action.clone())
         return tensordict

@@ -28,6 +28,11 @@ class PlanStatus(Enum):
     REACH = "no grasp is within the arm's reach"
     BLOCKED = "the way to every grasp in reach is blocked"
 
+    @property
+    def number(self) -> int:
+        """What PLAN_STATUS holds."""
+        return list(PlanStatus).index(self)
+
 
 @dataclass(frozen=True)
 class Plan:

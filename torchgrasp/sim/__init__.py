@@ -11,5 +11,7 @@ from torchgrasp.sim.probe import RendererProbe as RendererProbe
 from torchgrasp.sim.probe import probe_renderer as probe_renderer
 from torchgrasp.sim.raycast import RaycastCamera as RaycastCamera
 from torchgrasp.sim.render import RenderCamera as RenderCamera
+from torchgrasp.sim.settle import prepare_resting as prepare_resting
+from torchgrasp.sim.settle import settled_poses as settled_poses
 from torchgrasp.sim.world import Placement as Placement
 from torchgrasp.sim.worlds import Worlds as Worlds

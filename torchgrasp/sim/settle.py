@@ -1,16 +1,24 @@
-"""Resting poses proved by physics: computed once an object, so that no reset has to wait for it."""
+"""Resting poses proved by physics: computed once an object and kept on disk, so that no reset waits."""
 
 from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import sapien
 from sapien import physx
 
+from torchgrasp.errors import ObjectError
+from torchgrasp.objects.cache import cache_key, cached, default_cache_dir, write_whole
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.objects.parallel import run_each
+from torchgrasp.objects.sets import ObjectSet
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import build_table
 from torchgrasp.sim.world import build_target
 
+_VERSION = 1  # part of every file's name: raise it when the same object gives other poses
 _SETTLE_RATE = 120
 _MAX_SECONDS = 10
 _MAX_DRIFT = 1e-3
@@ -40,6 +48,76 @@ def settle(target: GraspObject, physics: Physics) -> np.ndarray:
     return np.array(settled).reshape(-1, 4, 4)
 
 
+def settled_poses(
+    target: GraspObject, physics: Physics, *, cache_dir: str | Path | None = None
+) -> np.ndarray:
+    """What `settle` returns, computed once for an object and the physics that matter to its rest.
+
+    Args:
+        target: the object.
+        physics: friction, mass and damping; the rest of it is of no account here.
+        cache_dir: where poses are kept, ``resting`` beside the objects' default cache.
+    """
+    path = _path(target, physics, cache_dir)
+    return cached(path, lambda: settle(target, physics), load=_load, save=_save)
+
+
+def prepare_resting(
+    objects: ObjectSet,
+    physics: Physics,
+    *,
+    workers: int = 1,
+    progress: bool = True,
+    cache_dir: str | Path | None = None,
+) -> None:
+    """Build the objects that the cache lacks and prove their resting poses, with a progress bar.
+
+    Objects that cannot be used are passed over: the cache remembers why.
+
+    Args:
+        objects: the set.
+        physics: in which poses are proved.
+        workers: processes; more than one needs a script with ``if __name__ == "__main__":``.
+        progress: show the bar.
+        cache_dir: see `settled_poses`.
+    """
+    work = partial(_prepare_one, objects, physics, cache_dir)
+    unbuilt = set(objects.missing())
+    missing = [
+        i for i in range(len(objects)) if i in unbuilt or not _is_settled(objects, physics, cache_dir, i)
+    ]
+    run_each(work, missing, workers=workers, label="preparing objects", progress=progress)
+
+
+def _is_settled(objects: ObjectSet, physics: Physics, cache_dir: str | Path | None, index: int) -> bool:
+    return objects.refusal(index) is not None or _path(objects[index], physics, cache_dir).exists()
+
+
+def _prepare_one(objects: ObjectSet, physics: Physics, cache_dir: str | Path | None, index: int) -> None:
+    try:
+        settled_poses(objects[index], physics, cache_dir=cache_dir)
+    except ObjectError:
+        return
+
+
+def _path(target: GraspObject, physics: Physics, cache_dir: str | Path | None) -> Path:
+    folder = default_cache_dir().parent / "resting" if cache_dir is None else Path(cache_dir).expanduser()
+    values = (physics.mass, physics.friction, physics.linear_damping, physics.angular_damping)
+    key = cache_key("settled", _VERSION, target.content_hash, tuple(map(float, values)))
+    return folder / f"{Path(target.name).name}-{key}.npy"
+
+
+def _load(path: Path) -> np.ndarray:
+    poses = np.load(path, allow_pickle=False)
+    if poses.shape[1:] != (4, 4):
+        raise ValueError(f"shape {poses.shape}")
+    return poses
+
+
+def _save(path: Path, poses: np.ndarray) -> None:
+    write_whole(path, lambda file: np.save(file, poses, allow_pickle=False))
+
+
 def _drop(target: GraspObject, candidate: np.ndarray, physics: Physics) -> np.ndarray | None:
     """(4, 4) pose in which the object stays for a second, None where it never does."""
     system = physx.PhysxCpuSystem()
@@ -55,8 +133,12 @@ def _drop(target: GraspObject, candidate: np.ndarray, physics: Physics) -> np.nd
         before = pose
         for _ in range(_SETTLE_RATE):
             system.step()
+            if body.is_sleeping:  # PhysX moves it no more: the rest of the second would be idle
+                break
         pose = body.entity_pose.to_transformation_matrix().astype(np.float64)
-        if _is_same_pose(before, pose):
+        if pose[2, 3] < -1.0:  # fell off the table
+            return None
+        if body.is_sleeping or _is_same_pose(before, pose):
             pose[:2, 3] = 0.0
             return pose if pose[2, 3] > 0 else None
     return None

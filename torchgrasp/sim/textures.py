@@ -16,7 +16,8 @@ def draw_texture(rng: np.random.Generator, low: NDArray, high: NDArray) -> NDArr
 
     Args:
         rng: of all choices.
-        low, high: (3,) colours in [0, 1] between which the pattern moves.
+        low: (3,) colour in [0, 1] at the pattern's low end.
+        high: (3,) colour at its high end.
 
     Returns:
         (128, 128, 4) uint8, opaque; it continues seamlessly only where the pattern happens to.

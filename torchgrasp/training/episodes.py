@@ -19,6 +19,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError, TorchgraspError
+from torchgrasp.training.outcomes import failure_cause
 
 # Makes a GraspEnv with transforms around it.
 MakeEnv = Callable[[], Any]
@@ -26,12 +27,16 @@ MakeEnv = Callable[[], Any]
 
 @dataclass(frozen=True)
 class Episode:
-    """One episode: its steps (T), the object's name, the world and number that fix its scene."""
+    """One episode: its steps (T), the object's name, the world and number that fix its scene.
+
+    `failure` tells why the object was not lifted, None where it was.
+    """
 
     steps: TensorDictBase
     object_name: str
     world: int
     number: int
+    failure: str | None = None
 
     @property
     def success(self) -> bool:
@@ -132,13 +137,15 @@ class _Runner:
         names = env.objects.names
         ends = [("next", key) for key in ("reward", "terminated", "truncated", "done")]
         episodes = []
-        for row in batch:
+        gaps = env.base_env.worlds.joints[:, 7:].sum(-1)
+        for row, gap in zip(batch, gaps, strict=True):
             length = int(row["next", "done"].squeeze(-1).int().argmax()) + 1
             object_name = names[int(row[keys.OBJECT_ID][0])]
             world = int(row[keys.WORLD][0])
+            failure = failure_cause(row[:length], float(gap))
             if self.keep is not None:
                 row = row.select(*self.keep, *(("next", key) for key in self.keep), *ends, strict=False)
-            episodes.append(Episode(row[:length].clone(), object_name, world, number))
+            episodes.append(Episode(row[:length].clone(), object_name, world, number, failure))
         return episodes
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import NormalDist
@@ -43,9 +44,12 @@ class SuccessTable:
 
     def __init__(self) -> None:
         self._counts: dict[str, list[int]] = {}
+        self._causes: dict[str, Counter[str]] = {}
 
-    def add(self, object_name: str, success: bool) -> None:
-        """Count one finished episode."""
+    def add(self, object_name: str, success: bool, *, cause: str | None = None) -> None:
+        """Count one finished episode, and why it failed where that is known."""
+        if cause is not None:
+            self._causes.setdefault(object_name, Counter())[cause] += 1
         counts = self._counts.setdefault(object_name, [0, 0])
         counts[0] += 1
         counts[1] += int(success)
@@ -76,13 +80,25 @@ class SuccessTable:
             for name, (episodes, successes) in sorted(self._counts.items())
         }
 
+    def failures(self) -> dict[str, int]:
+        """Episodes by cause of failure, the most frequent first."""
+        return dict(sum(self._causes.values(), Counter()).most_common())
+
+    def never_lifted(self) -> dict[str, str]:
+        """Objects without one success, each with its most frequent cause."""
+        never = [name for name, (_, successes) in sorted(self._counts.items()) if not successes]
+        causes = {name: self._causes.get(name, Counter(["unknown"])) for name in never}
+        return {name: counts.most_common(1)[0][0] for name, counts in causes.items()}
+
     def summary(self) -> dict:
-        """What summary.json says of success: rate, 95 % interval, episodes, objects."""
+        """What summary.json says of success: rate, 95 % interval, episodes, objects, failures."""
         return {
             "success_rate": self.success_rate,
             "success_ci95": list(self.confidence_interval()),
             "episodes": self.episodes,
             "objects": self.objects(),
+            "failures": self.failures(),
+            "never_lifted": self.never_lifted(),
         }
 
 
