@@ -69,9 +69,9 @@ def arm_depth(rays: np.ndarray, T_base_camera: np.ndarray, q: np.ndarray, near: 
             T = np.linalg.inv(link @ shape.pose) @ T_base_camera
             depth = np.full(len(rays), near)
             inside = distance(T[:3, :3] @ (near * rays).T + T[:3, 3:], shape.size) < 0
-            for _ in range(300):
-                step = np.abs(distance(T[:3, :3] @ (depth[:, None] * rays).T + T[:3, 3:], shape.size))
-                depth = np.minimum(depth + step / length, 20.0)
+            for _ in range(150):
+                step = distance(T[:3, :3] @ (depth[:, None] * rays).T + T[:3, 3:], shape.size)
+                depth = np.minimum(depth + np.maximum(step, 0.0) / length, 20.0)
             assert not inside.any(), "the steps below begin outside of the arm"
             nearest = np.where((step < 2e-5) & (depth > near), np.minimum(nearest, depth), nearest)
     return nearest
