@@ -10,11 +10,14 @@ from sapien import physx
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.sim import CameraIntrinsics, RaycastCamera, View
+from torchgrasp.sim import CameraIntrinsics, RaycastCamera, View, look_at
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.panda import Panda
+from torchgrasp.sim.panda_tables import ARM_SHAPES
 
 OPEN, CLOSED = np.array([0.04, 0.04]), np.array([0.0, 0.0])
+# The arm stands behind its base, so that a hand put anywhere before it is seen alone.
+AWAY = kin.READY_POSTURE + (2.8, 0, 0, 0, 0, 0, 0)
 FAR_AWAY = np.eye(4)
 FAR_AWAY[:3, 3] = (50.0, 0.0, 50.0)
 # Corners of a unit cube and its triangles, by hand.
@@ -56,14 +59,42 @@ def finger_triangles(fingers: np.ndarray) -> np.ndarray:
     return np.concatenate(out)
 
 
-def reference(camera, target, T_base_ee, T_base_object, fingers) -> tuple[np.ndarray, np.ndarray]:
+def arm_depth(rays: np.ndarray, T_base_camera: np.ndarray, q: np.ndarray, near: float) -> np.ndarray:
+    """(N,) depths beyond `near` at which rays meet the arm, by steps of the distance to it."""
+    links = np.concatenate((np.eye(4)[None], kin.link_poses(q[None])[0, :7]))
+    length = np.linalg.norm(rays, axis=-1)
+    nearest = np.full(len(rays), np.inf)
+    for link, shapes in zip(links, ARM_SHAPES, strict=True):
+        for shape in shapes:
+            T = np.linalg.inv(link @ shape.pose) @ T_base_camera
+            depth = np.full(len(rays), near)
+            inside = distance(T[:3, :3] @ (near * rays).T + T[:3, 3:], shape.size) < 0
+            for _ in range(150):
+                step = distance(T[:3, :3] @ (depth[:, None] * rays).T + T[:3, 3:], shape.size)
+                depth = np.minimum(depth + np.maximum(step, 0.0) / length, 20.0)
+            assert not inside.any(), "the steps below begin outside of the arm"
+            nearest = np.where((step < 2e-5) & (depth > near), np.minimum(nearest, depth), nearest)
+    return nearest
+
+
+def distance(points: np.ndarray, size: tuple[float, ...]) -> np.ndarray:
+    """(N,) signed distances of points (3, N) to a box or capsule about the origin."""
+    if len(size) == 3:
+        beyond = np.abs(points) - np.array(size)[:, None] / 2
+        return np.linalg.norm(np.maximum(beyond, 0.0), axis=0) + np.minimum(beyond.max(axis=0), 0.0)
+    radius, length = size
+    along = np.clip(points[2], -length / 2, length / 2)
+    return np.sqrt(points[0] ** 2 + points[1] ** 2 + (points[2] - along) ** 2) - radius
+
+
+def reference(camera, target, T_base_ee, T_base_object, fingers, q) -> tuple[np.ndarray, np.ndarray]:
     """Depth and mask by trying every triangle."""
     cam = camera.intrinsics
     focal = cam.height / 2 / np.tan(cam.fov / 2)
     v, u = np.mgrid[: cam.height, : cam.width] + 0.5
     rays = np.stack(((u - cam.width / 2) / focal, (v - cam.height / 2) / focal, np.ones_like(u)), -1)
     rays = rays.reshape(-1, 3)
-    T_camera_base = np.linalg.inv(T_base_ee @ camera.T_ee_camera)
+    T_camera_base = np.linalg.inv(camera.pose(T_base_ee))
 
     def seen(T, triangles):
         points = triangles @ T[:3, :3].T + T[:3, 3]
@@ -73,9 +104,10 @@ def reference(camera, target, T_base_ee, T_base_object, fingers) -> tuple[np.nda
     a, b, c, d = np.array([[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]])
     table = seen(T_camera_base, np.array([[a, b, c], [a, c, d]]))
     hand = seen(T_camera_base @ T_base_ee, finger_triangles(fingers))
+    robot = np.minimum(hand, arm_depth(rays, camera.pose(T_base_ee), q, cam.near))
     body = seen(T_camera_base @ T_base_object, target.vertices[target.faces].astype(np.float64))
-    depth = np.minimum(np.minimum(table, hand), body)
-    mask = (body < np.minimum(table, hand)) & (depth <= cam.far)
+    depth = np.minimum(np.minimum(table, robot), body)
+    mask = (body < np.minimum(table, robot)) & (depth <= cam.far)
     depth = np.where(depth <= cam.far, depth, 0.0)
     return depth.reshape(cam.height, cam.width), mask.reshape(cam.height, cam.width)
 
@@ -86,17 +118,17 @@ def pose_at(x: float, y: float, z: float, *, down: bool = False) -> np.ndarray:
     return pose @ np.diag([1.0, -1.0, -1.0, 1.0]) if down else pose
 
 
-def look(camera, target, T_base_ee, T_base_object, fingers) -> tuple[np.ndarray, np.ndarray]:
+def look(camera, target, T_base_ee, T_base_object, fingers, q=AWAY) -> tuple[np.ndarray, np.ndarray]:
     """Depth and mask of one picture."""
-    joints = np.concatenate((kin.READY_POSTURE, fingers))
+    joints = np.concatenate((q, fingers))
     picture = camera.observe(View(target, T_base_object, joints, T_base_ee))
     return picture["depth"], picture["mask"]
 
 
-def agree(camera, target, T_base_ee, T_base_object, fingers=OPEN) -> tuple[np.ndarray, np.ndarray]:
+def agree(camera, target, T_base_ee, T_base_object, fingers=OPEN, q=AWAY) -> tuple[np.ndarray, np.ndarray]:
     """The picture, after a check that the reference agrees on all but grazing pixels."""
-    depth, mask = look(camera, target, T_base_ee, T_base_object, fingers)
-    expected, expected_mask = reference(camera, target, T_base_ee, T_base_object, fingers)
+    depth, mask = look(camera, target, T_base_ee, T_base_object, fingers, q)
+    expected, expected_mask = reference(camera, target, T_base_ee, T_base_object, fingers, q)
     assert depth.dtype == np.float32 and mask.dtype == bool
     assert depth.shape == mask.shape == (camera.intrinsics.height, camera.intrinsics.width)
     assert (np.abs(depth - expected) > 1e-4).mean() < 0.005
@@ -114,10 +146,34 @@ def test_pictures_agree_with_every_triangle_tried(index):
         T_base_object = pose_at(0.64, 0.0, 0.06)
         T_base_object[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
         T_base_object[:3, 0] *= np.linalg.det(T_base_object[:3, :3])
-        T_base_ee = kin.forward_kinematics(kin.READY_POSTURE + rng.uniform(-0.15, 0.15, (1, 7)))[0]
+        q = kin.READY_POSTURE + rng.uniform(-0.15, 0.15, 7)
         fingers = rng.uniform(0.0, 0.04, 2).round(4)
-        marked += agree(camera, target, T_base_ee, T_base_object, fingers)[1].sum()
+        marked += agree(camera, target, kin.forward_kinematics(q[None])[0], T_base_object, fingers, q)[1].sum()
     assert marked > 40
+
+
+@pytest.mark.parametrize("place", [{}, {"T_base_camera": look_at((1.4, 0.3, 0.9), (0.4, 0.0, 0.2))}])
+def test_the_whole_arm_is_seen_wherever_it_stands(brick, place):
+    camera = RaycastCamera(CameraIntrinsics(32, 24, fov=1.2), **place)
+    rng = np.random.default_rng(2)
+    seen = 0
+    for _ in range(12):
+        q = rng.uniform(kin.JOINT_LOWER, kin.JOINT_UPPER)
+        hand = kin.forward_kinematics(q[None])[0]
+        depth, _ = agree(camera, brick, hand, pose_at(0.6, 0.0, 0.04), OPEN, q)
+        bare = look(camera, brick, hand, pose_at(0.6, 0.0, 0.04), OPEN)[0]
+        seen += (np.abs(depth - bare) > 1e-3).any()
+    assert seen >= 3
+
+
+def test_a_static_camera_gives_the_poses_it_was_given():
+    T_base_camera = look_at((1.0, 0.0, 1.0), (1.0, 0.0, 0.0), up=(1.0, 0.0, 0.0))
+    # Straight down: the picture's upper side is the base's x, its right side the base's -y.
+    assert np.allclose(T_base_camera[:3, :3], [[0, -1, 0], [-1, 0, 0], [0, 0, -1]])
+    camera = RaycastCamera(T_base_camera=T_base_camera)
+    assert np.array_equal(camera.pose(np.stack((np.eye(4), FAR_AWAY))), np.stack((T_base_camera,) * 2))
+    with pytest.raises(ConfigError, match="move one of the points"):
+        look_at((1.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 
 
 def test_depth_of_a_box_and_the_table_by_hand(brick):
@@ -169,7 +225,7 @@ def test_fingers_are_seen_at_any_opening_met_before_or_not(brick):
 
 
 def test_nothing_is_seen_nearer_than_near_or_beyond_far(brick):
-    hand, fingers = pose_at(0.5, 0.0, 1.0, down=True), OPEN
+    hand, fingers = pose_at(0.8, 0.0, 1.0, down=True), OPEN
     camera = RaycastCamera(CameraIntrinsics(24, 24, near=0.2, far=0.55), T_ee_camera=np.eye(4))
     depth, mask = agree(camera, brick, hand, hand @ pose_at(0, 0, 0.5), fingers)
     assert depth[mask] == pytest.approx(np.full(mask.sum(), 0.46), abs=1e-5) and mask.any()
@@ -189,8 +245,8 @@ def test_an_object_that_reaches_behind_the_near_plane_is_seen_from_inside(brick)
 def test_the_window_misses_no_pixel(brick):
     # The same picture, once with the object's outline cut out, once with all rays cast.
     class Everywhere(RaycastCamera):
-        def _window(self, target, T_object_camera):
-            return np.arange(len(self.intrinsics.rays))
+        def _window(self, surface, T_object_camera):
+            return slice(None), slice(None)
 
     intrinsics = CameraIntrinsics(31, 23, fov=1.1)
     hand = pose_at(0.5, 0.0, 0.5, down=True)

@@ -64,6 +64,7 @@ class Randomization:
             pair = tuple(getattr(self, name))
             if len(pair) != 2:
                 raise ConfigError(f"camera.randomize.{name}={list(pair)}: give a pair [low, high].")
+            object.__setattr__(self, name, pair)  # lists of a configuration have no hash
             check_range(f"camera.randomize.{name}[0]", pair[0], 0.0, top)
             check_range(f"camera.randomize.{name}[1]", pair[1], pair[0], top)
         check_range("camera.randomize.light_tint", self.light_tint, 0.0, 1.0)

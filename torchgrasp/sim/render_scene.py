@@ -26,7 +26,8 @@ _MAX_TEXTURES = 48
 _FLOOR = -0.75
 # Depth to which things are drawn, metres: beyond a camera's range they are seen in colour only.
 _DRAWN = 40.0
-_SHADOW_MAP, _SHADOW_REACH = 1024, 1.0
+# Pixels of the shadow map, of which each costs time, and metres around the table that it covers.
+_SHADOW_MAP, _SHADOW_REACH = 512, 1.0
 _GREY, _DARK, _METAL = (0.55, 0.57, 0.6), (0.12, 0.12, 0.13), (0.75, 0.75, 0.78)
 
 

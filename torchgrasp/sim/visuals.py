@@ -12,8 +12,8 @@ from torchgrasp.objects.surface import face_normals
 
 # Faces whose normals differ by less are shaded as one smooth surface: 40 degrees.
 _CREASE = np.cos(np.radians(40.0))
-# Around and along: a capsule of 6 cm stays within 0.3 mm of the round one.
-_SIDES = [32, 32]
+# Rings and sides: a capsule of 6 cm stays within 0.5 mm of the round one, at half the cost of 0.3 mm.
+_SIDES = [16, 32]
 
 
 @dataclass(frozen=True, eq=False)
