@@ -77,7 +77,7 @@ class GymGrasp(gymnasium.Env):
         self._grasp = GraspEnv(1, objects=objects, camera=camera, horizon=horizon, seed=seed)
         if transforms is None:
             fov = self._grasp.cameras["camera"].intrinsics.fov
-            views = DepthToPoints(fov=fov), AggregatePoints(alpha)
+            views = DepthToPoints(fov=fov), AggregatePoints(alpha=alpha)
             transforms = Compose(*views, SamplePoints(num_points), AppendGripperPoints())
         self._env = TransformedEnv(self._grasp, transforms)
         seen = self._env.observation_spec

@@ -148,7 +148,9 @@ def test_pictures_agree_with_every_triangle_tried(index):
         T_base_object[:3, 0] *= np.linalg.det(T_base_object[:3, :3])
         q = kin.READY_POSTURE + rng.uniform(-0.15, 0.15, 7)
         fingers = rng.uniform(0.0, 0.04, 2).round(4)
-        marked += agree(camera, target, kin.forward_kinematics(q[None])[0], T_base_object, fingers, q)[1].sum()
+        marked += agree(camera, target, kin.forward_kinematics(q[None])[0], T_base_object, fingers, q)[
+            1
+        ].sum()
     assert marked > 40
 
 

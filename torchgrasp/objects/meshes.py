@@ -73,7 +73,7 @@ def hand_scale(vertices: Points) -> float:
 
 def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
     """Refuse vertices without a place; those that no triangle uses are only left out, with a warning."""
-    bad = ~np.isfinite(mesh.vertices).all(axis=1)
+    bad = np.asarray(~np.isfinite(mesh.vertices).all(axis=1))
     if bad[mesh.faces].any():
         raise ObjectError(
             f"{path} has {int(bad.sum())} vertices that are NaN or infinite: repair or remove the file."
