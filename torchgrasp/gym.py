@@ -77,8 +77,8 @@ class GymGrasp(gymnasium.Env):
         self._grasp = GraspEnv(1, objects=objects, camera=camera, horizon=horizon, seed=seed)
         if transforms is None:
             fov = self._grasp.cameras["camera"].intrinsics.fov
-            views = DepthToPoints(fov=fov), AggregatePoints(alpha=alpha)
-            transforms = Compose(*views, SamplePoints(num_points), AppendGripperPoints())
+            chain = [DepthToPoints(fov=fov), AggregatePoints(alpha), SamplePoints(num_points)]
+            transforms = Compose(*chain, AppendGripperPoints())  # pyright: ignore[reportCallIssue]
         self._env = TransformedEnv(self._grasp, transforms)
         seen = self._env.observation_spec
         if keys.POINTS not in set(seen.keys()):
