@@ -1,54 +1,30 @@
-"""Speed as ratios to the bare physics, in one run: python recipes/benchmark.py suite=env."""
+"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets."""
 
 from __future__ import annotations
 
+import gc
 import json
+import os
+import subprocess
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import common
 import hydra
+import numpy as np
 import torch
-from omegaconf import DictConfig
+from clock import Clock
+from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
 from torchgrasp.planning import ExpertPolicy
-from torchgrasp.training import hardware, make_run_dir, one_line_errors, versions
+from torchgrasp.sim import probe_renderer
+from torchgrasp.training import Progress, hardware, make_run_dir, one_line_errors, versions
 
-
-class Clock:
-    """Seconds by part, exclusive of parts inside."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
-        self._inside = 0.0
-
-    @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        """Count the time spent inside as `name`."""
-        outer, self._inside, start = self._inside, 0.0, time.perf_counter()
-        try:
-            yield
-        finally:
-            total = time.perf_counter() - start
-            self.seconds[name] += total - self._inside
-            self._inside = outer + total
-
-    def wrap(self, owner: object, method: str, name: str) -> None:
-        """Count every call of a method as `name`."""
-        inner: Callable = getattr(owner, method)
-
-        def timed(*args: object, **kwargs: object) -> object:
-            with self.part(name):
-                return inner(*args, **kwargs)
-
-        setattr(owner, method, timed)
+_RENDER = {"camera": {"_target_": "torchgrasp.sim.RenderCamera"}}
 
 
 def run_episodes(env: EnvBase, expert: ExpertPolicy, clock: Clock, episodes: int, horizon: int) -> None:
@@ -63,13 +39,13 @@ def run_episodes(env: EnvBase, expert: ExpertPolicy, clock: Clock, episodes: int
                 td = step_mdp(env.step(td))
 
 
-def benchmark_env(cfg: DictConfig) -> dict:
+def measure(cfg: DictConfig, *, episodes: int) -> dict:
     """Steps a second with point clouds, and where the time goes."""
     env = common.make_env(cfg, "train")
     base = env.base_env
     assert isinstance(base, GraspEnv)
-    expert = ExpertPolicy(base.objects, horizon=base.horizon)
-    run_episodes(env, expert, Clock(), cfg.episodes, base.horizon)
+    expert = ExpertPolicy(base.objects, horizon=base.horizon, action_space=base.actions)
+    run_episodes(env, expert, Clock(), episodes, base.horizon)
     clock = Clock()
     worlds = base.worlds
     clock.wrap(worlds, "drive", "physics: steps")
@@ -80,8 +56,8 @@ def benchmark_env(cfg: DictConfig) -> dict:
         for method in ("_step", "_reset"):
             clock.wrap(transform, method, f"transform {type(transform).__name__}")
     base.start_episodes_at([0] * base.num_envs)
-    run_episodes(env, expert, clock, cfg.episodes, base.horizon)
-    return _table(clock.seconds, cfg.episodes * base.num_envs, base.horizon)
+    run_episodes(env, expert, clock, episodes, base.horizon)
+    return _table(clock.seconds, episodes * base.num_envs, base.horizon)
 
 
 def _table(seconds: dict[str, float], episodes: int, horizon: int) -> dict:
@@ -92,29 +68,98 @@ def _table(seconds: dict[str, float], episodes: int, horizon: int) -> dict:
         "steps_per_second": steps / own,
         "physics_only_steps_per_second": steps / physics,
         "ratio_to_physics_only": physics / own,
-        "milliseconds_per_step": {name: 1e3 * value / steps for name, value in sorted(seconds.items())},
         "new_scene_milliseconds": 1e3 * seconds["reset"] / episodes,
+        "milliseconds_per_step": {name: 1e3 * value / steps for name, value in sorted(seconds.items())},
     }
+
+
+def benchmark_env(cfg: DictConfig) -> dict:
+    """The environment with point clouds: one world, a batch, rendered, and a peer where one is given."""
+    rows = {"one world": measure(cfg, episodes=cfg.episodes)}
+    batch = OmegaConf.merge(cfg, {"env": {"num_envs": cfg.batch}})
+    rows[f"{cfg.batch} worlds"] = measure(batch, episodes=max(1, cfg.episodes // cfg.batch))  # pyright: ignore
+    if probe_renderer().ok:
+        rendered = OmegaConf.merge(cfg, _RENDER)
+        rows["one world, rendered"] = measure(rendered, episodes=max(1, cfg.episodes // 5))  # pyright: ignore
+    for name, row in rows.items():
+        print(
+            f"{name:22s} {row['steps_per_second']:6.0f} steps/s with point clouds; physics alone "
+            f"{row['physics_only_steps_per_second']:6.0f}: ratio {row['ratio_to_physics_only']:.2f}; "
+            f"a new scene {row['new_scene_milliseconds']:.1f} ms"
+        )
+    print("Where a step's time goes, one world:")
+    for name, value in sorted(rows["one world"]["milliseconds_per_step"].items(), key=lambda item: -item[1]):
+        print(f"  {value:6.3f} ms  {name}{' (not counted)' if name == 'expert label' else ''}")
+    if cfg.peer_python is not None:
+        rows |= _peers(cfg, rows["one world"]["steps_per_second"])
+    return rows
+
+
+def _peers(cfg: DictConfig, own: float) -> dict:
+    """ManiSkill's PickCube in the Python that `peer_python` names, with and without pictures."""
+    found = {}
+    for mode, steps in (("pictures", 60), ("state", 600)):
+        command = [cfg.peer_python, str(Path(__file__).with_name("peer.py")), str(steps), mode]
+        done = subprocess.run(
+            command, capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
+        )
+        lines = [line for line in done.stdout.splitlines() if line.startswith("steps_per_second=")]
+        if not lines:
+            raise ConfigError(f"peer_python={cfg.peer_python} failed: {done.stderr.strip()[-300:]}")
+        rate = float(lines[0].split("=")[1])
+        found[f"ManiSkill PickCube, {mode}"] = {"steps_per_second": rate, "ratio_to_ours": rate / own}
+        print(f"ManiSkill PickCube, wrist camera, {mode:9s} {rate:6.1f} steps/s: {rate / own:.3f} of ours")
+    return found
+
+
+def benchmark_resets(cfg: DictConfig) -> dict:
+    """Time and memory of many resets over many objects, one step after each."""
+    base = common.make_env(cfg, "train")
+    milliseconds, memory = [], {}
+    progress = Progress(cfg.resets, description="resets", unit="reset")
+    for count in range(1, cfg.resets + 1):
+        start = time.perf_counter()
+        td = base.reset()
+        milliseconds.append(1e3 * (time.perf_counter() - start) / base.batch_size[0])
+        base.rand_step(td)
+        if count % (cfg.resets // 10) == 0:
+            gc.collect()
+            memory[count] = _resident_megabytes()
+            print(f"{count} resets: {memory[count]:.0f} MB", flush=True)
+        progress.update()
+    progress.close()
+    marks = list(memory.values())
+    warm = milliseconds[len(milliseconds) // 10 :]
+    out = {
+        "resets": cfg.resets,
+        "objects": len(common.make_objects(cfg, "train")),
+        "megabytes": memory,
+        "growth_after_first_tenth_megabytes": marks[-1] - marks[0],
+        "mean_milliseconds": float(np.mean(warm)),
+        "median_milliseconds": float(np.median(warm)),
+        "p95_milliseconds": float(np.percentile(warm, 95)),
+    }
+    print(f"{marks[-1] - marks[0]:+.1f} MB after the first tenth of {cfg.resets} resets")
+    print(f"A reset takes {out['mean_milliseconds']:.1f} ms on average, 95 % {out['p95_milliseconds']:.1f}")
+    return out
+
+
+def _resident_megabytes() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def benchmark(cfg: DictConfig) -> dict:
     """Run the suite; print and write its table."""
-    if cfg.suite != "env":
-        raise ConfigError(f"suite={cfg.suite!r} is unknown: give env.")
+    suites = {"env": benchmark_env, "resets": benchmark_resets}
+    if cfg.suite not in suites:
+        raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")
     torch.set_num_threads(1)
-    result = {"suite": cfg.suite, **benchmark_env(cfg), "hardware": hardware(), "versions": versions()}
+    common.prepare_objects(cfg, "train")
+    result = {"suite": cfg.suite, "rows": suites[cfg.suite](cfg)}
+    result |= {"hardware": hardware(), "versions": versions()}
     run_dir: Path = make_run_dir("benchmark", root=cfg.output_dir)
     (run_dir / "benchmark.json").write_text(json.dumps(result, indent=2))
-    print(
-        f"{result['steps_per_second']:.0f} steps/s with point clouds, one core, {cfg.env.num_envs} world(s)"
-    )
-    print(
-        f"{result['physics_only_steps_per_second']:.0f} steps/s of physics alone: "
-        f"ratio {result['ratio_to_physics_only']:.2f}; "
-        f"a new scene takes {result['new_scene_milliseconds']:.1f} ms"
-    )
-    for name, value in sorted(result["milliseconds_per_step"].items(), key=lambda item: -item[1]):
-        print(f"  {value:6.3f} ms a step  {name}")
     print(f"Written to {run_dir}/benchmark.json")
     return result
 

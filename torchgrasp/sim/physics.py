@@ -44,7 +44,7 @@ class Physics:
     control_period: float = 0.15
     free_rate: int = 60
     approach_rate: int = 120
-    near: float = 0.05
+    near: float = 0.02
     close_rate: int = 120
     lift_rate: int = 120
     close_seconds: float = 0.4

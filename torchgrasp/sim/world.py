@@ -19,6 +19,7 @@ from torchgrasp.sim.tracking import track_pose
 
 # The open hand's box in its frame, for the question how near the target is.
 _HAND_CENTRE, _HAND_HALF = np.array([0.0, 0.0, 0.0435]), np.array([0.0315, 0.102, 0.0695])
+_HAND_RADIUS = float(np.linalg.norm(_HAND_HALF))
 _STANDING = 2e-3  # m/s below which a finger stands
 _LIFT_STAGES = 8
 
@@ -62,6 +63,7 @@ class World:
         )
         self._target = build_target(self._scene, placement.target, placement.T_base_object, physics, material)
         self._target.kinematic = placement.held
+        self._radius = float(np.linalg.norm(surface_points(placement.target), axis=-1).max())
         self._carried: tuple[np.ndarray, np.ndarray] | None = None
         self._panda.place(placement.q)
 
@@ -104,12 +106,17 @@ class World:
     def _is_near(self, start: np.ndarray, end: np.ndarray) -> bool:
         """Whether hand and target may come within `near` of each other on the way."""
         T_base_object = self.T_base_object if self._carried is None else self._carried[1]
-        points = surface_points(self.placement.target) @ T_base_object[:3, :3].T + T_base_object[:3, 3]
+        points = surface_points(self.placement.target)
         hands = kinematics.forward_kinematics(np.stack((start, end)))
+        near = self.placement.physics.near
+        apart = hands[:, :3, 3] + _HAND_CENTRE[2] * hands[:, :3, 2] - T_base_object[:3, 3]
+        if np.linalg.norm(apart, axis=-1).min() > self._radius + _HAND_RADIUS + near:
+            return False
+        points = points @ T_base_object[:3, :3].T + T_base_object[:3, 3]
         for hand in hands:
             outside = np.abs((points - hand[:3, 3]) @ hand[:3, :3] - _HAND_CENTRE) - _HAND_HALF
             nearest = np.maximum(outside, 0.0)
-            if np.einsum("ij,ij->i", nearest, nearest).min() < self.placement.physics.near**2:
+            if np.einsum("ij,ij->i", nearest, nearest).min() < near**2:
                 return True
         return False
 
