@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable
 from copy import deepcopy
 from pathlib import Path
+from typing import Any
 
 import torch
 from hydra.utils import instantiate
@@ -36,11 +37,23 @@ ONLINE_EPISODES = 1_000_000
 
 def make_objects(cfg: DictConfig, split: str) -> ObjectSet:
     """The training objects as configured, or for "test" those of the evaluation, where there are splits."""
-    objects = cfg.objects
+    objects: Any = cfg.objects
     if split == "test" and objects.get("split") is not None:
         chosen = {name: cfg.evaluation[name] for name in ("split", "num_objects") if name in objects}
         objects = OmegaConf.merge(objects, chosen)
-    return instantiate(objects)
+    return instantiate(_into_members(objects) if "sets" in objects else objects)
+
+
+def _into_members(objects: DictConfig) -> DictConfig:
+    """A mixture's configuration with its own split, num_objects and num_grasps written into its sets."""
+    objects = deepcopy(objects)
+    OmegaConf.set_struct(objects, False)
+    for name in ("split", "num_objects", "num_grasps"):
+        value = objects.pop(name, None)
+        for member in objects.sets.values():
+            if name in member and value is not None:
+                member[name] = value
+    return objects
 
 
 def make_env(cfg: DictConfig, split: str) -> TransformedEnv:

@@ -45,10 +45,11 @@ class Check:
         return f"{mark} {self.name:22s} {self.detail}{remedy}"
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to argparse's subparsers."""
-    parser = commands.add_parser("doctor", help="what works on this machine, and how to mend the rest")
-    parser.set_defaults(run=run)
+HELP = "what works on this machine, and how to mend the rest"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The command has no options."""
 
 
 def run(_: argparse.Namespace | None = None) -> int:

@@ -6,6 +6,7 @@ from hydra import compose, initialize_config_dir
 from runner import ROOT, command, environment
 
 sys.path.insert(0, str(ROOT / "recipes"))
+sys.path.insert(0, str(ROOT / "tests" / "objects"))  # acronym_files
 
 
 @pytest.fixture

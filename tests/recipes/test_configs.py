@@ -6,6 +6,7 @@ from pathlib import Path
 import common
 import pytest
 import trimesh
+from acronym_files import write_acronym
 from hydra.utils import instantiate
 from learner import Learner
 from torchrl.envs import check_env_specs
@@ -24,6 +25,7 @@ def choices(group: str) -> list[str]:
 def meshes(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("meshes")
     trimesh.creation.box((0.05, 0.06, 0.10)).export(folder / "box.stl")
+    write_acronym(folder)
     return folder
 
 
@@ -34,7 +36,7 @@ def meshes(tmp_path_factory) -> Path:
 def test_every_environment_passes_check_env_specs(composed, meshes, env, objects, camera, transforms):
     chosen = [f"env={env}", f"objects={objects}", f"camera={camera}", f"transforms={transforms}"]
     chosen += ["env.num_envs=2", "env.horizon=3", "objects.num_objects=1"]
-    chosen += [f"objects.path={meshes}"] if objects == "folder" else []
+    chosen += [f"objects.path={meshes}"] if objects in ("folder", "acronym") else []
     if transforms in IMAGES:
         # The experiments tune the points that networks see, which image presets do not have.
         cfg = composed(

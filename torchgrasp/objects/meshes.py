@@ -73,7 +73,7 @@ def hand_scale(vertices: Points) -> float:
 
 def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
     """Refuse vertices without a place; those that no triangle uses are only left out, with a warning."""
-    bad = np.asarray(~np.isfinite(mesh.vertices).all(axis=1))
+    bad = (~np.isfinite(np.asarray(mesh.vertices))).any(axis=1)
     if bad[mesh.faces].any():
         raise ObjectError(
             f"{path} has {int(bad.sum())} vertices that are NaN or infinite: repair or remove the file."
@@ -97,6 +97,7 @@ def _read(path: Path) -> trimesh.Trimesh:
 def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Vertices merged, flat triangles dropped, not too many left, holes closed, normals outward."""
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+    was_closed = mesh.is_watertight
     if len(mesh.faces) > MAX_FACES:
         before = len(mesh.faces)
         vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
@@ -107,7 +108,7 @@ def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     if len(mesh.faces) < 4:
         return mesh
     with np.errstate(invalid="ignore", divide="ignore"):  # a flat mesh is refused later, by name
-        if not mesh.is_watertight:
+        if not mesh.is_watertight and not was_closed:
             closed = mesh.fill_holes()
             _tell(path, "is open: its holes are closed." if closed else "is open: it is taken as a shell.")
         inverted = mesh.is_watertight and mesh.is_winding_consistent and _signed_volume(mesh) < 0
@@ -144,14 +145,24 @@ def _check_size(path: Path, extents: Points, scale: float) -> None:
 
 def convex_parts(vertices: Points, faces: NDArray[np.int64], *, concavity: float) -> tuple[Points, ...]:
     """Convex vertex clouds of at most 64 vertices that together stand for the mesh."""
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
     try:
-        filled = _signed_volume(mesh) / ConvexHull(vertices).volume if mesh.is_watertight else 0.0
+        convex = _filled_share(vertices, faces) > _NEARLY_CONVEX
     except QhullError:
         return ()
-    pieces = [vertices] if filled > _NEARLY_CONVEX else _decompose(vertices, faces, concavity)
+    pieces = [vertices] if convex else _decompose(vertices, faces, concavity)
     reduced = [reduce_hull(piece) for piece in pieces]
     return tuple(piece for piece in reduced if piece is not None)
+
+
+def _filled_share(vertices: Points, faces: NDArray[np.int64]) -> float:
+    """The share of its hull that a mesh fills.
+
+    A hole takes away the cone from the middle of the mesh to it: a pinhole in a scan hardly counts, the
+    missing lid of a box takes a sixth.
+    """
+    shape = ConvexHull(vertices)
+    triangles = vertices[faces] - vertices[shape.vertices].mean(axis=0)
+    return abs(float(np.linalg.det(triangles).sum() / 6)) / shape.volume
 
 
 def _decompose(vertices: Points, faces: NDArray[np.int64], concavity: float) -> list[Points]:
