@@ -17,7 +17,7 @@ from torchgrasp.sim.panda_tables import ARM_SHAPES
 
 OPEN, CLOSED = np.array([0.04, 0.04]), np.array([0.0, 0.0])
 # The arm stands behind its base, so that a hand put anywhere before it is seen alone.
-AWAY = kin.READY_POSTURE + (2.8, 0, 0, 0, 0, 0, 0)
+AWAY = kin.READY_POSTURE + np.array((2.8, 0, 0, 0, 0, 0, 0))
 FAR_AWAY = np.eye(4)
 FAR_AWAY[:3, 3] = (50.0, 0.0, 50.0)
 # Corners of a unit cube and its triangles, by hand.
@@ -148,7 +148,9 @@ def test_pictures_agree_with_every_triangle_tried(index):
         T_base_object[:3, 0] *= np.linalg.det(T_base_object[:3, :3])
         q = kin.READY_POSTURE + rng.uniform(-0.15, 0.15, 7)
         fingers = rng.uniform(0.0, 0.04, 2).round(4)
-        marked += agree(camera, target, kin.forward_kinematics(q[None])[0], T_base_object, fingers, q)[1].sum()
+        marked += agree(camera, target, kin.forward_kinematics(q[None])[0], T_base_object, fingers, q)[
+            1
+        ].sum()
     assert marked > 40
 
 

@@ -55,7 +55,9 @@ def test_shapes_and_types_are_those_of_every_camera(targets):
         "rgb": ((30, 40, 3), np.dtype(np.uint8)),
     }
     assert tuple(picture) == RenderCamera().channels
-    assert tuple(RenderCamera(rgb=False).observe(view)) == RenderCamera(rgb=False).channels == ("depth", "mask")
+    assert (
+        tuple(RenderCamera(rgb=False).observe(view)) == RenderCamera(rgb=False).channels == ("depth", "mask")
+    )
 
 
 @pytest.mark.vulkan
@@ -95,7 +97,9 @@ def test_only_some_targets_and_textures_are_kept(brick):
     camera = RenderCamera(CameraIntrinsics(16, 16), randomize=Randomization())
     scene = render_scene()
     sizes = np.linspace(0.8, 1.2, 60, dtype=np.float32)
-    many = [replace(brick, vertices=brick.vertices * s, content_hash=f"{i:032x}") for i, s in enumerate(sizes)]
+    many = [
+        replace(brick, vertices=brick.vertices * s, content_hash=f"{i:032x}") for i, s in enumerate(sizes)
+    ]
     entities = len(scene._scene.entities)
     for view in views(many, 60):
         camera.observe(view)

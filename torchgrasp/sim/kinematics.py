@@ -59,10 +59,12 @@ def link_poses(q: Array) -> Array:
     """(N, 7) joint angles to (N, 8, 4, 4) poses of links 1 to 7 and of the hand, in the base."""
     q = np.asarray(q, dtype=np.float64)
     c, s = np.cos(q), np.sin(q)
-    local = np.tile(_origins(), (len(q), 1, 1, 1))
-    x, y = local[..., 0].copy(), local[..., 1].copy()
+    origins = _origins()
+    x, y = origins[..., 0], origins[..., 1]
+    local = np.empty((len(q), 7, 4, 4))
     local[..., 0] = x * c[..., None] + y * s[..., None]
     local[..., 1] = y * c[..., None] - x * s[..., None]
+    local[..., 2:] = origins[..., 2:]
     poses = np.empty((len(q), 8, 4, 4))
     poses[:, 0] = local[:, 0]
     for i in range(1, 7):

@@ -48,9 +48,7 @@ class RenderCamera(Camera):
     def observe(self, view: View) -> dict[str, np.ndarray]:
         """Depth, mask and, unless `rgb` is off, colour; see `Camera.observe`."""
         scene = render_scene()
-        robot = np.concatenate(
-            (arm_poses(view.joints[:7]), hand_poses(view.T_base_ee, view.joints[7:]))
-        )
+        robot = np.concatenate((arm_poses(view.joints[:7]), hand_poses(view.T_base_ee, view.joints[7:])))
         key = view.target.content_hash
         look = _look(self.randomize, view.appearance, key) if self.rgb else default_appearance(key)
         scene.arrange(view.target, view.T_base_object, robot, look)

@@ -79,9 +79,7 @@ class RenderScene:
             self._dress(appearance)
             self._look = appearance
 
-    def picture(
-        self, cam: CameraIntrinsics, T_base_camera: NDArray, *, colour: bool
-    ) -> dict[str, NDArray]:
+    def picture(self, cam: CameraIntrinsics, T_base_camera: NDArray, *, colour: bool) -> dict[str, NDArray]:
         """Depth, mask and, where `colour`, RGB of what was arranged; shapes as `Camera.observe`'s."""
         camera = self._camera(cam, "default" if colour else "trivial")
         camera.entity.set_pose(Pose((T_base_camera @ _SAPIEN_AXES).astype(np.float32)))
@@ -103,7 +101,13 @@ class RenderScene:
         if (cam, shader) not in self._cameras:
             camera = sapien.render.RenderCameraComponent(cam.width, cam.height, str(_SHADERS / shader))
             camera.set_perspective_parameters(
-                max(cam.near, 1e-3), max(_DRAWN, cam.far), cam.focal, cam.focal, cam.width / 2, cam.height / 2, 0
+                max(cam.near, 1e-3),
+                max(_DRAWN, cam.far),
+                cam.focal,
+                cam.focal,
+                cam.width / 2,
+                cam.height / 2,
+                0,
             )
             entity = sapien.Entity()
             entity.add_component(camera)
@@ -145,9 +149,7 @@ class RenderScene:
         key = pixels.tobytes()
         texture = self._textures.pop(key, None)
         if texture is None:
-            texture = sapien.render.RenderTexture2D(
-                pixels, "R8G8B8A8Unorm", 1, "linear", "mirror", srgb=True
-            )
+            texture = sapien.render.RenderTexture2D(pixels, "R8G8B8A8Unorm", 1, "linear", "mirror", srgb=True)
         self._textures[key] = texture
         if len(self._textures) > _MAX_TEXTURES:
             self._textures.pop(next(iter(self._textures)))
