@@ -21,7 +21,7 @@ def random_rotation(rng: np.random.Generator) -> np.ndarray:
 
 
 def views(targets: Sequence[GraspObject], count: int, seed: int = 0) -> Iterator[View]:
-    """States above the table: postures around the ready one and, by turns, anywhere; objects before the hand."""
+    """States above the table, the object before the hand: postures near the ready one and, by turns, any."""
     rng = np.random.default_rng(seed)
     given = 0
     while given < count:

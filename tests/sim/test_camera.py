@@ -17,7 +17,7 @@ from torchgrasp.sim.panda_tables import ARM_SHAPES
 
 OPEN, CLOSED = np.array([0.04, 0.04]), np.array([0.0, 0.0])
 # The arm stands behind its base, so that a hand put anywhere before it is seen alone.
-AWAY = kin.READY_POSTURE + (2.8, 0, 0, 0, 0, 0, 0)
+AWAY = kin.READY_POSTURE + np.array((2.8, 0, 0, 0, 0, 0, 0))
 FAR_AWAY = np.eye(4)
 FAR_AWAY[:3, 3] = (50.0, 0.0, 50.0)
 # Corners of a unit cube and its triangles, by hand.

@@ -1,4 +1,4 @@
-"""What moves: the Panda, the table, the objects and the wrist camera. Only this folder imports sapien."""
+"""What moves, the Panda, the table and the objects, and the cameras. Only this folder imports sapien."""
 
 from torchgrasp.sim._sapien import sapien as sapien
 from torchgrasp.sim.appearance import Randomization as Randomization

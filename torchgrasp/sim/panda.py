@@ -47,18 +47,11 @@ class Panda:
         scene: the SAPIEN scene to build into.
         finger_friction: static and dynamic friction of the fingers.
         finger_force: largest force of each finger, N.
-        visuals: also build visual shapes; the scene needs a render system then.
     """
 
     def __init__(
-        self,
-        scene: sapien.Scene,
-        *,
-        finger_friction: float = 2.0,
-        finger_force: float = 40.0,
-        visuals: bool = False,
+        self, scene: sapien.Scene, *, finger_friction: float = 2.0, finger_force: float = 40.0
     ) -> None:
-        self._visuals = visuals
         self._body_material = physx.PhysxMaterial(0.3, 0.3, 0.0)
         self._finger_material = physx.PhysxMaterial(finger_friction, finger_friction, 0.0)
         builder = scene.create_articulation_builder()
@@ -114,7 +107,7 @@ class Panda:
         link.set_mass_and_inertia(inertial.mass, Pose(axes), moments)
         material = self._finger_material if is_finger else self._body_material
         for shape in shapes:
-            _add_shape(link, shape, material, patch_radius=0.1 if is_finger else 0.0, visuals=self._visuals)
+            _add_shape(link, shape, material, patch_radius=0.1 if is_finger else 0.0)
 
     def place(self, q: np.ndarray, *, fingers: float = FINGER_OPEN) -> None:
         """Put the arm at rest at q (7,) with the fingers `fingers` metres open each, drives on target."""
@@ -165,21 +158,15 @@ def _principal_axes(inertial: Inertial) -> tuple[np.ndarray, np.ndarray]:
     return moments, frame
 
 
-def _add_shape(
-    link, shape: Shape, material: physx.PhysxMaterial, *, patch_radius: float, visuals: bool
-) -> None:
+def _add_shape(link, shape: Shape, material: physx.PhysxMaterial, *, patch_radius: float) -> None:
     pose = Pose(shape.pose)
     half = tuple(s / 2 for s in shape.size)
     if len(shape.size) == 3:
         link.add_box_collision(pose, half, material, density=0.0, patch_radius=patch_radius)
-        if visuals:
-            link.add_box_visual(pose, half)
         return
     radius, length = shape.size[0], half[1]
     along_z = Pose(shape.pose @ _X_TO_Z)
     link.add_capsule_collision(along_z, radius, length, material, density=0.0)
-    if visuals:
-        link.add_capsule_visual(along_z, radius, length)
 
 
 _X_TO_Z = np.array([[0, 0, -1.0, 0], [0, 1.0, 0, 0], [1.0, 0, 0, 0], [0, 0, 0, 1.0]])

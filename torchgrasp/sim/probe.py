@@ -1,4 +1,4 @@
-"""Whether this machine can render: python -m torchgrasp.sim.probe."""
+"""Whether this machine can render, found out without risk to the process that asks."""
 
 from __future__ import annotations
 
@@ -49,9 +49,3 @@ def probe_renderer() -> RendererProbe:
     lines = [line for line in done.stderr.splitlines() if line.strip()]
     reason = lines[-1] if lines else f"it ended with status {done.returncode}"
     return RendererProbe(False, None, f"SAPIEN's renderer does not start ({reason}): {REMEDY}")
-
-
-if __name__ == "__main__":
-    probe = probe_renderer()
-    print(f"renders on {probe.device}" if probe.ok else probe.error)
-    sys.exit(0 if probe.ok else 1)

@@ -75,15 +75,16 @@ class RaycastCamera(Camera):
         window = self._window(surface, T_object_camera)
         if window is None:
             return mask
-        behind = depth[window]
-        near = np.float32(self.intrinsics.near)
-        directions = self._rays[window].reshape(-1, 3) @ T_object_camera[:3, :3].T.astype(np.float32)
-        origins = near * directions
-        origins += T_object_camera[:3, 3].astype(np.float32)
-        hit = surface.scene.run(origins, directions, query="DISTANCE").reshape(behind.shape) + near
+        behind, rays = depth[window], self._rays[window].reshape(-1, 3)
+        # Rays have a depth of 1, so that the camera's place can ride along in the third column.
+        turn = T_object_camera[:3, :3].T.astype(np.float32)
+        near = np.float32(self.intrinsics.near) * turn
+        near[2] += T_object_camera[:3, 3]
+        hit = surface.scene.run(rays @ near, rays @ turn, query="DISTANCE").reshape(behind.shape)
+        hit += np.float32(self.intrinsics.near)
+        # Where a ray meets nothing embree answers 1e37, which `observe` finds out of range.
         np.less(hit, behind, out=mask[window])
-        mask[window] &= hit < 1e3  # embree answers a distance of 1e37 where a ray meets nothing
-        np.copyto(behind, hit, where=mask[window])
+        np.minimum(behind, hit, out=behind)
         return mask
 
     def _window(self, surface: _Surface, T_object_camera: np.ndarray) -> tuple[slice, slice] | None:
@@ -103,17 +104,15 @@ class RaycastCamera(Camera):
         met = limits @ self._corner_rays > 0
         if not met.any(axis=-1).all():
             return np.full((cam.height, cam.width), np.inf, dtype=np.float32)
-        with np.errstate(divide="ignore"):
-            depth = np.float32(-height) / self._plane(T_base_camera[2, :3])
         # What is linear in a ray is positive in the whole picture where it is so in the four corners.
-        for limit in limits[~met.all(axis=-1)]:
-            np.copyto(depth, np.inf, where=self._plane(limit) <= 0)
+        gradients = np.concatenate((T_base_camera[2:3, :3], limits[~met.all(axis=-1)])).astype(np.float32)
+        columns = gradients[:, :1] * self._rays[0, :, 0]
+        rows = (gradients[:, 1:2] * self._rays[:, 0, 1] + gradients[:, 2:])[:, :, None]
+        with np.errstate(divide="ignore"):
+            depth = np.float32(-height) / (columns[0] + rows[0])
+        for column, row in zip(columns[1:], rows[1:], strict=True):
+            np.copyto(depth, np.inf, where=column + row <= 0)
         return depth
-
-    def _plane(self, gradient: np.ndarray) -> np.ndarray:
-        """(H, W) float32 dot products of the rays with a (3,) vector, camera frame."""
-        a, b, c = gradient.astype(np.float32)
-        return a * self._rays[0, :, 0] + (b * self._rays[:, 0, 1] + c)[:, None]
 
     def _paint_robot(self, depth: np.ndarray, T_camera_shape: np.ndarray) -> None:
         """Put the robot's shapes that are in sight into a depth picture (H, W)."""
@@ -130,9 +129,9 @@ class RaycastCamera(Camera):
         window = picture_window(corners(half) @ turn.T + T_camera_shape[:3, 3], cam)
         if window is None:
             return
-        rays = turn.T @ self._rays[window].reshape(-1, 3).T
+        rays = turn.T.astype(np.float32) @ self._rays[window].reshape(-1, 3).T
         seen = first_surface(-T_camera_shape[:3, 3] @ turn, rays, size, cam.near)
-        np.minimum(depth[window], seen.reshape(depth[window].shape), out=depth[window], casting="same_kind")
+        np.minimum(depth[window], seen.reshape(depth[window].shape), out=depth[window])
 
     def _hand_depth(self, fingers: np.ndarray) -> np.ndarray:
         """(H, W) depth of hand and fingers before the wrist camera, which move with it.
@@ -159,13 +158,13 @@ def _table_limits(T_base_camera: np.ndarray, near: float) -> np.ndarray:
     """
     turn, place = T_base_camera[:3, :3], T_base_camera[:3, 3]
     side, height = np.sign(place[2]), abs(place[2])
-    down = -side * turn[2]
-    edges = [
-        sign * (height * turn[axis] + (place[axis] - edge) * down)
-        for sign, corner in ((1.0, TABLE_LOWER), (-1.0, TABLE_UPPER))
-        for axis, edge in enumerate(corner[:2])
-    ]
-    return np.array([down, (0.0, 0.0, height) - near * down, *edges])
+    limits = np.empty((6, 3))
+    limits[0] = down = -side * turn[2]
+    limits[1] = -near * down
+    limits[1, 2] += height
+    limits[2:4] = height * turn[:2] + (place[:2] - TABLE_LOWER[:2])[:, None] * down
+    limits[4:] = -height * turn[:2] - (place[:2] - TABLE_UPPER[:2])[:, None] * down
+    return limits
 
 
 def _inverse(pose: np.ndarray) -> np.ndarray:

@@ -60,24 +60,24 @@ def first_surface(origin: NDArray, rays: NDArray, size: tuple[float, ...], near:
 
     Args:
         origin: (3,) the camera in the shape's frame, metres.
-        rays: (3, N) directions in the shape's frame, of depth 1.
+        rays: (3, N) float32 directions in the shape's frame, of depth 1.
         size: of the shape, as in `panda_tables.Shape`: a box's three sides or a capsule's radius and
             length along z.
         near: metres.
     """
-    enter, leave = _box(origin, rays, np.array(size) / 2) if len(size) == 3 else _capsule(origin, rays, *size)
+    enter, leave = _box(origin, rays, size) if len(size) == 3 else _capsule(origin, rays, *size)
     seen = np.where(enter > near, enter, leave)
-    return np.where((enter <= leave) & (leave > near), seen, np.inf)
+    seen[~((enter <= leave) & (leave > near))] = np.inf
+    return seen
 
 
-def _box(origin: NDArray, rays: NDArray, half: NDArray) -> tuple[NDArray, NDArray]:
+def _box(origin: NDArray, rays: NDArray, size: tuple[float, ...]) -> tuple[NDArray, NDArray]:
     """Depths (N,) at which rays enter and leave a box; enter > leave where they miss it."""
-    enter, leave = np.full(rays.shape[1], -np.inf), np.full(rays.shape[1], np.inf)
-    for place, along, reach in zip(origin, rays, half, strict=True):
-        first, last = _slab(place, along, reach)
-        np.maximum(enter, first, out=enter)
-        np.minimum(leave, last, out=leave)
-    return enter, leave
+    slabs = [
+        _slab(place, along, side / 2) for place, along, side in zip(origin.tolist(), rays, size, strict=True)
+    ]
+    (a, b, c), (d, e, f) = zip(*slabs, strict=True)
+    return np.maximum(np.maximum(a, b), c), np.minimum(np.minimum(d, e), f)
 
 
 def _slab(place: float, along: NDArray, reach: float) -> tuple[NDArray, NDArray]:
@@ -90,14 +90,15 @@ def _slab(place: float, along: NDArray, reach: float) -> tuple[NDArray, NDArray]
 def _capsule(origin: NDArray, rays: NDArray, radius: float, length: float) -> tuple[NDArray, NDArray]:
     """Depths (N,) at which rays enter and leave a capsule: the union of a cylinder and two balls."""
     across, along = rays[0] ** 2 + rays[1] ** 2, rays[2]
-    turned, past = origin[:2] @ rays[:2], float(origin[:2] @ origin[:2])
+    x, y, height = origin.tolist()
+    turned, past = x * rays[0] + y * rays[1], x * x + y * y
     enter, leave = _quadratic(across, turned, past, radius)
-    first, last = _slab(origin[2], along, length / 2)
+    first, last = _slab(height, along, length / 2)
     enter, leave = np.maximum(enter, first), np.minimum(leave, last)
     missed = ~(enter <= leave)
     enter[missed], leave[missed] = np.inf, -np.inf
     for end in (-length / 2, length / 2):
-        z = origin[2] - end
+        z = height - end
         ball = _quadratic(across + along**2, turned + z * along, past + z * z, radius)
         enter, leave = np.fmin(enter, ball[0]), np.fmax(leave, ball[1])
     return enter, leave

@@ -16,11 +16,11 @@ def draw_texture(rng: np.random.Generator, low: NDArray, high: NDArray) -> NDArr
 
     Args:
         rng: of all choices.
-        low: (3,) colour in [0, 1] at the pattern's low end.
-        high: (3,) colour at its high end.
+        low: (3,) colour in [0, 1] where the pattern is 0.
+        high: (3,) colour where it is 1.
 
     Returns:
-        (128, 128, 4) uint8, opaque; it continues seamlessly only where the pattern happens to.
+        (128, 128, 4) uint8, opaque; mirrored where it repeats.
     """
     pattern = _PATTERNS[rng.integers(len(_PATTERNS))]
     return colour_texture(pattern(rng), low, high)
