@@ -15,6 +15,15 @@ from torchgrasp.training import load_weights, make_run_dir
 
 # config.yaml is resolved, for readers; this one keeps its references, so that a change reaches all.
 _UNRESOLVED = ".config_unresolved.yaml"
+# What recipes/evaluate.py's protocols change in the environment (Sec. 6.6 and 6.7).
+_PROTOCOLS = {
+    "static": {},
+    "moving": {"target_motion": "jitter"},
+    "tabletop": {},
+    "handover": {"target_motion": "handover"},
+}
+# The tabletop protocol's fixed start, unless start=varied says otherwise.
+_TABLETOP = {"_target_": "torchgrasp.envs.TabletopStart", "spread": 0.0}
 _AT_LEAST = {
     "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0, "pretrain.batch_size": 1,
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
@@ -61,8 +70,11 @@ def open_run(cfg: DictConfig, recipe: str) -> Path:
 def for_evaluation(cfg: DictConfig) -> DictConfig:
     """The configuration of recipes/evaluate.py: what a trained policy brings along, then what was given."""
     cfg = _merge(OmegaConf.to_container(cfg))
-    if cfg.protocol != "static":
-        raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give static.")
+    if cfg.protocol not in _PROTOCOLS:
+        raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give one of {', '.join(_PROTOCOLS)}.")
+    cfg = _merge(cfg, {"env": _PROTOCOLS[cfg.protocol]})
+    if cfg.protocol == "tabletop" and cfg.env.start._target_ != _TABLETOP["_target_"]:
+        cfg.env.start = _TABLETOP
     path = Path(str(OmegaConf.select(cfg, "policy")))
     check_values(cfg)
     if path.exists():
@@ -70,8 +82,9 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
         _check_targets(brought, list(cfg.trust))
         kept = {name: brought[name] for name in ("model", "camera", "transforms")}
         given = _given_values(f"policy={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
+        task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
         plain = {key: value for key, value in cfg.items() if key not in kept}
-        cfg = _merge(plain, {**kept, "env": {"horizon": brought["env"]["horizon"]}}, given)
+        cfg = _merge(plain, {**kept, "env": task}, given)
     # objects.split=... and objects.num_objects=... say which objects, as everywhere.
     tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
     chosen = {name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in str(tasks)}
