@@ -73,8 +73,9 @@ def hand_scale(vertices: Points) -> float:
 
 def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
     """Refuse vertices without a place; those that no triangle uses are only left out, with a warning."""
-    bad = (~np.isfinite(np.asarray(mesh.vertices))).any(axis=1)
-    if bad[mesh.faces].any():
+    # Zero times a sum is NaN where one of its numbers is NaN or infinite.
+    bad = np.isnan(np.asarray(mesh.vertices, np.float64).sum(axis=1) * 0.0)
+    if bad[np.asarray(mesh.faces)].any():
         raise ObjectError(
             f"{path} has {int(bad.sum())} vertices that are NaN or infinite: repair or remove the file."
         )
