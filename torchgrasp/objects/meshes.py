@@ -73,13 +73,14 @@ def hand_scale(vertices: Points) -> float:
 
 def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
     """Refuse vertices without a place; those that no triangle uses are only left out, with a warning."""
-    bad = np.unique(np.argwhere(~np.isfinite(mesh.vertices))[:, 0])
-    if np.isin(mesh.faces, bad).any():
+    # Zero times a sum is NaN where one of its numbers is NaN or infinite.
+    bad = np.isnan(np.asarray(mesh.vertices, np.float64).sum(axis=1) * 0.0)
+    if bad[np.asarray(mesh.faces)].any():
         raise ObjectError(
-            f"{path} has {len(bad)} vertices that are NaN or infinite: repair or remove the file."
+            f"{path} has {int(bad.sum())} vertices that are NaN or infinite: repair or remove the file."
         )
-    if len(bad):
-        warnings.warn(f"{path}: {len(bad)} NaN vertices that no face uses are left out.", stacklevel=3)
+    if bad.any():
+        warnings.warn(f"{path}: {int(bad.sum())} NaN vertices that no face uses are left out.", stacklevel=3)
         mesh.remove_unreferenced_vertices()
 
 
