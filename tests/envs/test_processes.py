@@ -1,5 +1,8 @@
 """The environment in TorchRL's batches and collectors, in this process and in others."""
 
+import contextlib
+import os
+import signal
 from functools import partial
 
 import pytest
@@ -71,3 +74,16 @@ def test_random_actions_run_without_a_policy():
     (batch,) = list(collector)
     collector.shutdown()
     assert batch["action"].abs().amax() > 0.01
+
+
+def test_a_worker_that_dies_is_an_error_and_no_hang():
+    env = ParallelEnv(2, WORKERS, mp_start_method="spawn")
+    state = env.rand_step(env.reset())["next"]
+    os.kill(env._workers[1].pid, signal.SIGKILL)
+    with pytest.raises(RuntimeError, match="worker 1 dead"):
+        env.rand_step(state.clone())
+    for worker in env._workers:
+        with contextlib.suppress(ValueError):  # TorchRL has closed the dead one
+            worker.terminate()
+            worker.join()
+    env.is_closed = True
