@@ -75,11 +75,11 @@ class GymGrasp(gymnasium.Env):
         transforms: Transform | None = None,
     ) -> None:
         objects = ProceduralObjects("train") if objects is None else objects
-        self._grasp = GraspEnv(1, objects=objects, camera=camera, horizon=horizon, seed=seed)
+        self._grasp = GraspEnv(num_envs=1, objects=objects, camera=camera, horizon=horizon, seed=seed)
         if transforms is None:
             fov = self._grasp.worlds.camera.intrinsics.fov
-            views = DepthToPoints(fov=fov), AggregatePoints(alpha)
-            transforms = Compose(*views, SamplePoints(num_points), AppendGripperPoints())
+            chain: list = [DepthToPoints(fov=fov), AggregatePoints(alpha), SamplePoints(num_points)]
+            transforms = Compose(*chain, AppendGripperPoints())
         self._env = TransformedEnv(self._grasp, transforms)
         seen = self._env.observation_spec
         if keys.POINTS not in set(seen.keys()):
