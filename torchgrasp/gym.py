@@ -79,7 +79,8 @@ class GymGrasp(gymnasium.Env):
         if transforms is None:
             fov = self._grasp.worlds.camera.intrinsics.fov
             chain: list = [DepthToPoints(fov=fov), AggregatePoints(alpha), SamplePoints(num_points)]
-            transforms = Compose(*chain, AppendGripperPoints())
+            chain.append(AppendGripperPoints())
+            transforms = Compose(*chain)
         self._env = TransformedEnv(self._grasp, transforms)
         seen = self._env.observation_spec
         if keys.POINTS not in set(seen.keys()):
