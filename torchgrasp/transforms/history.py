@@ -24,7 +24,9 @@ class HistoryTransform(PointTransform, Generic[Memory]):
     `out_keys` from all of them.
 
     Args:
-        in_keys, out_keys, seed: see PointTransform.
+        in_keys: what is read.
+        out_keys: what is written.
+        seed: of the draws, see PointTransform.
     """
 
     def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0) -> None:
