@@ -182,3 +182,13 @@ def print_comparison(cfg: DictConfig, tables: dict[str, dict]) -> None:
     for name, table in reversed(tables.items()):
         low, high = (100 * bound for bound in table["success_ci95"])
         print(f"  {name:30s} {100 * table['success_rate']:5.1f} %  [{low:.1f}, {high:.1f}]")
+
+
+def print_failures(table: dict) -> None:
+    """Why episodes failed, on how many objects none succeeded, and on which."""
+    lifted = len(table["objects"]) - len(table["never_lifted"])
+    print(f"  {lifted} of the {len(table['objects'])} objects met were lifted at least once")
+    for cause, count in table["failures"].items():
+        print(f"  {count:4d} failed: {cause}")
+    for name, cause in table["never_lifted"].items():
+        print(f"  never lifted: {name} ({cause})")

@@ -29,6 +29,7 @@ def evaluate(cfg: DictConfig) -> dict:
     if cfg.video.episodes:
         common.record_videos(cfg, policy, run_dir / "videos")
     common.print_comparison(cfg, {str(cfg.policy): table})
+    common.print_failures(table)
     print(f"Written to {run_dir}: summary.json{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,
