@@ -12,6 +12,7 @@ from pathlib import Path
 import common
 import hydra
 import numpy as np
+import settings
 import torch
 from clock import Clock
 from omegaconf import DictConfig, OmegaConf
@@ -154,6 +155,7 @@ def benchmark(cfg: DictConfig) -> dict:
     suites = {"env": benchmark_env, "resets": benchmark_resets}
     if cfg.suite not in suites:
         raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")
+    settings.check_values(cfg)
     torch.set_num_threads(1)
     common.prepare_objects(cfg, "train")
     result = {"suite": cfg.suite, "rows": suites[cfg.suite](cfg)}

@@ -79,7 +79,7 @@ def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> Path:
     path = Path(cfg.demonstrations.path)
     if not count_shards(path):
         raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
-    _check_origin(cfg, path, ("transforms", "camera", "horizon"))
+    _check_origin(cfg, path, ("transforms", "camera", "overhead", "horizon", "action_space"))
     return path
 
 
@@ -87,8 +87,12 @@ def _check_origin(cfg: DictConfig, path: Path, names: tuple[str, ...] = ()) -> N
     """Refuse demonstrations that another configuration made; `names` tells what must agree, () for all."""
     plain = OmegaConf.to_container(cfg, resolve=True)
     assert isinstance(plain, dict)
-    ours = {name: plain[name] for name in ("seed", "env", "objects", "camera", "transforms")}
-    ours |= {"horizon": cfg.env.horizon, "disturb": plain["collector"]["disturb"]}
+    ours = {name: plain[name] for name in ("seed", "env", "objects", "camera", "overhead", "transforms")}
+    ours |= {
+        "horizon": cfg.env.horizon,
+        "action_space": cfg.env.action_space,
+        "disturb": plain["collector"]["disturb"],
+    }
     file = path / "origin.json"
     if not file.exists():
         if count_shards(path):

@@ -17,8 +17,8 @@ from torchrl.envs import Compose, TransformedEnv
 
 from torchgrasp import keys
 from torchgrasp.envs import GraspEnv
-from torchgrasp.errors import CheckpointError, ConfigError
-from torchgrasp.geometry import gripper_control_points
+from torchgrasp.errors import CheckpointError, ConfigError, ObjectError
+from torchgrasp.geometry import ACTION_SIZE, gripper_control_points
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy, RandomAction
 from torchgrasp.sim import prepare_resting
@@ -45,13 +45,17 @@ def make_objects(cfg: DictConfig, split: str) -> ObjectSet:
 
 
 def _into_members(objects: DictConfig) -> DictConfig:
-    """A mixture's configuration with its own split, num_objects and num_grasps written into its sets."""
+    """A mixture's configuration with its own split, num_objects and num_grasps written into its sets.
+
+    A set that trains on a split of another name (YCB's `others`) keeps it when the mixture says `train`.
+    """
     objects = deepcopy(objects)
     OmegaConf.set_struct(objects, False)
     for name in ("split", "num_objects", "num_grasps"):
         value = objects.pop(name, None)
         for member in objects.sets.values():
-            if name in member and value is not None:
+            own = name == "split" and value == "train" and member.get(name) is not None
+            if name in member and value is not None and not own:
                 member[name] = value
     return objects
 
@@ -73,6 +77,11 @@ def count_points(cfg: DictConfig) -> int:
             torch.empty(0, device=cfg.device)
         except (RuntimeError, AssertionError) as error:
             raise ConfigError(f"device={cfg.device} cannot be used ({error}): give cpu.") from error
+    if "model" in cfg and make_actions(cfg).size != ACTION_SIZE:
+        raise ConfigError(
+            f"env.action_space={cfg.env.action_space}: the networks of conf/model write relative hand poses;"
+            " train with ee_delta, or give a network of your own to an environment of your own."
+        )
     spec = make_env(cfg, "test").observation_spec
     if keys.POINTS not in set(spec.keys()):
         raise ConfigError(
@@ -93,7 +102,11 @@ def prepare_objects(cfg: DictConfig, *splits: str) -> None:
     """Build and settle what is not cached yet, with a progress bar; the objects of both splits by default."""
     for split in splits or ("train", "test"):
         workers = max(1, cfg.collector.num_workers)
-        prepare_resting(make_objects(cfg, split), instantiate(cfg.env.physics), workers=workers)
+        objects = make_objects(cfg, split)
+        prepare_resting(objects, instantiate(cfg.env.physics), workers=workers)
+        for index in range(len(objects)):
+            if (reason := objects.refusal(index)) is not None:
+                raise ObjectError(f"{objects.names[index]} cannot be used: {reason}")
 
 
 def make_actions(cfg: DictConfig) -> ActionSpace:
@@ -161,7 +174,7 @@ def record_videos(cfg: DictConfig, policy: Callable, folder: Path) -> list[Path]
         for batch in pool.run("test", for_workers(policy), range(-(-wanted // cfg.evaluation.num_envs))):
             for row, episode in enumerate(batch[: wanted - len(paths)]):
                 word = "lifted" if episode.success else "failed"
-                path = folder / f"{len(paths):03d}_{episode.object_name}_{word}.mp4"
+                path = folder / f"{len(paths):03d}_{episode.object_name.replace('/', '_')}_{word}.mp4"
                 frames = film.frames(episode.steps, recorder.endings.pop(row, ()))
                 paths.append(write_video(path, frames, fps=cfg.video.fps))
                 progress.update()

@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -28,7 +29,7 @@ _AT_LEAST = {
     "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0, "pretrain.batch_size": 1,
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
-    "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1,
+    "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1,
     "video.episodes": 0, "video.fps": 1,
 }  # fmt: skip
 
@@ -72,24 +73,35 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
     cfg = _merge(OmegaConf.to_container(cfg))
     if cfg.protocol not in _PROTOCOLS:
         raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give one of {', '.join(_PROTOCOLS)}.")
-    cfg = _merge(cfg, {"env": _PROTOCOLS[cfg.protocol]})
+    given = _given_names()
+    changes = {name: value for name, value in _PROTOCOLS[cfg.protocol].items() if f"env.{name}" not in given}
+    cfg = _merge(cfg, {"env": changes})
     if cfg.protocol == "tabletop" and cfg.env.start._target_ != _TABLETOP["_target_"]:
+        if any(name.startswith("env.start") for name in given):
+            raise ConfigError("protocol=tabletop has a start of its own: add start=fixed or start=varied.")
         cfg.env.start = _TABLETOP
     path = Path(str(OmegaConf.select(cfg, "policy")))
     check_values(cfg)
     if path.exists():
         brought = load_weights(weights_file(path))[1]
         _check_targets(brought, list(cfg.trust))
-        kept = {name: brought[name] for name in ("model", "camera", "transforms")}
+        kept = {name: brought.get(name) for name in ("model", "camera", "overhead", "transforms")}
         given = _given_values(f"policy={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
         task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
         plain = {key: value for key, value in cfg.items() if key not in kept}
         cfg = _merge(plain, {**kept, "env": task}, given)
     # objects.split=... and objects.num_objects=... say which objects, as everywhere.
-    tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    chosen = {name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in str(tasks)}
+    chosen = {
+        name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in _given_names()
+    }
     own = {"episodes": cfg.episodes, "seed": cfg.seed}
     return _merge(cfg, {"evaluation": {**own, **chosen}})
+
+
+def _given_names() -> list[str]:
+    """Names of all values on the command line."""
+    tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    return [each.lstrip("+~").split("=")[0] for each in tasks]
 
 
 def expand_video(arguments: list[str]) -> list[str]:
@@ -137,7 +149,10 @@ def _given_values(option: str, *, fixed: tuple[str, ...] = ()) -> DictConfig:
     if refused:
         raise ConfigError(f"{option} does not go with {', '.join(refused)}: give other plain values alone.")
     plain = [each for each, name in given.items() if name != "resume" and ("." in name or not fixed)]
-    return OmegaConf.from_dotlist(plain)
+    values = OmegaConf.create({})
+    for override in OverridesParser.create().parse_overrides(plain):
+        OmegaConf.update(values, override.key_or_group, override.value(), force_add=True)
+    return values
 
 
 def _check_targets(config: Any, trusted: list[str]) -> None:

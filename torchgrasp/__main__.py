@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 
-from torchgrasp import doctor, object_table
 from torchgrasp.errors import TorchgraspError
 
-# A command's module has HELP, add_arguments(parser) and run(args) -> exit code.
-COMMANDS = {
-    "doctor": doctor,
-    "objects": object_table,
-}
+# A command's module has HELP, add_arguments(parser) and run(args) -> exit code. Only the chosen one is
+# imported: the doctor has to run where the others' packages are broken.
+COMMANDS = {"doctor": "torchgrasp.doctor", "objects": "torchgrasp.object_table"}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; what a user can mend is printed in one line."""
+    given = sys.argv[1:] if arguments is None else arguments
     parser = argparse.ArgumentParser(prog="python -m torchgrasp")
-    commands = parser.add_subparsers(required=True, metavar="command")
-    for name, module in COMMANDS.items():
-        command = commands.add_parser(name, help=module.HELP, description=module.HELP)
-        module.add_arguments(command)
-        command.set_defaults(run=module.run)
-    args = parser.parse_args(arguments)
+    parser.add_argument("command", choices=COMMANDS, help="what to run; <command> --help tells its options")
+    name = parser.parse_args(given[:1]).command
+    module = importlib.import_module(COMMANDS[name])
+    command = argparse.ArgumentParser(prog=f"python -m torchgrasp {name}", description=module.HELP)
+    module.add_arguments(command)
+    args = command.parse_args(given[1:])
     try:
-        return args.run(args)
+        return module.run(args)
     except TorchgraspError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

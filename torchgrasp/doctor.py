@@ -92,7 +92,11 @@ def check_versions() -> list[Check]:
 def check_extras() -> list[Check]:
     """Each extra of torchgrasp, and the command that installs it."""
     groups: dict[str, list[Check]] = {}
-    for each in _requirements():
+    try:
+        wanted = _requirements()
+    except PackageNotFoundError:
+        return []  # check_versions has said that torchgrasp is not installed
+    for each in wanted:
         for extra in ("ycb", "random-urdfs", "acronym", "gym", "viz"):
             if each.marker is not None and not each.extras and each.marker.evaluate({"extra": extra}):
                 groups.setdefault(extra, []).append(_check_package(each))

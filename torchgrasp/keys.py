@@ -18,7 +18,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | POINTS | *, N, C | network input, ee frame: xyz, then a flag that is 1 for gripper points |
 | NUM_POINTS | *, 1 int64 | how many rows of POINTS were observed rather than filled in |
 | IMAGE | *, C, S, S | network input of image policies: colours in [0, 1], depth in metres, mask 0 or 1 |
-| ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles |
+| ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles; *, 7 in joint spaces |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
 | GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
 | PLAN_STATUS | *, 1 int64 | whether the expert has a plan, or why not: `PlanStatus` by number |

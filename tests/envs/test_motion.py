@@ -118,3 +118,6 @@ def test_unknown_motions_are_refused():
         HandoverTarget(route="up")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="translation"):
         JitterTarget(translation=-1.0)
+    for options, word in (({"steps": 1.5}, "steps"), ({"z": 0.3}, "z=0.3"), ({"z": (-1.0, -0.9)}, "z")):
+        with pytest.raises(ConfigError, match=word):
+            HandoverTarget(**options)  # type: ignore[arg-type]

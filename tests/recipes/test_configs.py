@@ -91,3 +91,16 @@ def test_transforms_are_tuned_dropped_and_replaced_by_name(composed):
     )
     td = common.make_env(swapped, "train").reset()
     assert td["flat"].shape[-1] == td["points"][0].numel()
+
+
+def test_a_mixture_trains_on_no_test_object(composed):
+    extra = ["+objects@objects.sets.ycb=ycb", "+objects.weights.ycb=1"]
+    cfg = composed("experiment=smoke", "objects=mixture", *extra, "objects.num_objects=100")
+    names = {split: set(common.make_objects(cfg, split).names) for split in ("train", "test")}
+    assert not names["train"] & names["test"]
+    assert not any("003_cracker_box" in name for name in names["train"])
+
+
+def test_joint_actions_are_refused_where_networks_write_poses(composed):
+    with pytest.raises(ConfigError, match="action_space=joint_delta"):
+        common.count_points(composed("experiment=smoke", "env.action_space=joint_delta"))

@@ -17,6 +17,10 @@ def test_what_varies_is_drawn_within_its_range_and_the_rest_stays():
     assert physics.draw(np.random.default_rng(3)) == drawn[3]
 
 
+def test_null_does_not_vary():
+    assert Physics(vary={"mass": None}) == Physics()  # type: ignore[dict-item]
+
+
 def test_the_order_of_the_ranges_changes_no_draw():
     pairs = {"mass": (0.1, 0.3), "friction": (0.5, 1.0)}
     first = Physics(vary=pairs).draw(np.random.default_rng(0))
@@ -31,6 +35,9 @@ def test_the_order_of_the_ranges_changes_no_draw():
         ({"mass": (0.1,)}, "low, high"),
         ({"mass": (0.0, 0.1)}, "physics.mass"),
         ({"friction": (-1.0, 0.1)}, "physics.friction"),
+        ({"mass": 0.3}, "low, high"),
+        ({"mass": (0.1, float("inf"))}, "low, high"),
+        ({"mass": ("a", 1)}, "low, high"),
     ],
 )
 def test_impossible_ranges_are_refused_by_name(vary, word):

@@ -24,7 +24,7 @@ from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import Camera, Physics, Placement, RaycastCamera, Worlds
 from torchgrasp.sim.control import ActionSpaceName, make_action_space
 
-# Reference: lifted means at least 8 cm higher.
+# Metres that the object must have risen (released code).
 LIFTED = 0.08
 _FALLEN = -0.10
 
@@ -88,6 +88,8 @@ class GraspEnv(EnvBase):
         for name, value in (("num_envs", num_envs), ("horizon", horizon)):
             if not isinstance(value, int) or value < 1:
                 raise ConfigError(f"env.{name}={value} is out of range: give a whole number of at least 1.")
+        if not isinstance(seed, int) or seed < 0:
+            raise ConfigError(f"env.seed={seed}: give a whole number of at least 0.")
         if grasp_trigger not in GRASP_TRIGGERS:
             raise ConfigError(
                 f"env.grasp_trigger={grasp_trigger!r} is unknown: give {' or '.join(GRASP_TRIGGERS)}."

@@ -72,7 +72,7 @@ class JitterTarget(TargetMotion):
     rotation: float = float(np.deg2rad(15.0))
 
     def __post_init__(self) -> None:
-        check_range("target_motion.steps", self.steps, 0, np.inf)
+        _check_steps(self.steps, 0)
         check_range("target_motion.translation", self.translation, 0.0, 0.5)
         check_range("target_motion.rotation", self.rotation, 0.0, np.pi)
 
@@ -120,7 +120,13 @@ class HandoverTarget(TargetMotion):
             )
         check_range("target_motion.side", self.side, 0.0, 0.5)
         check_range("target_motion.tilt", self.tilt, 0.0, np.pi)
-        check_range("target_motion.steps", self.steps, 1, np.inf)
+        _check_steps(self.steps, 1)
+        for name, (low, high) in (("x", (0.2, 0.8)), ("z", (0.05, 1.0))):
+            pair = getattr(self, name)
+            if isinstance(pair, (int, float)) or len(pair) != 2:
+                raise ConfigError(f"target_motion.{name}={pair}: give [low, high], metres.")
+            check_range(f"target_motion.{name}[0]", pair[0], low, high)
+            check_range(f"target_motion.{name}[1]", pair[1], pair[0], high)
 
     def present(
         self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
@@ -138,6 +144,11 @@ class HandoverTarget(TargetMotion):
         moves = np.zeros((self.steps, 3))
         moves[:, 1] = np.diff(shares) * (last - first) * self.side
         return pose, moves
+
+
+def _check_steps(steps: int, least: int) -> None:
+    if not isinstance(steps, int) or steps < least:
+        raise ConfigError(f"target_motion.steps={steps}: give a whole number of at least {least}.")
 
 
 def _tilted(rng: np.random.Generator, largest: float) -> np.ndarray:

@@ -21,7 +21,7 @@ from torchgrasp.sim.settle import settled_poses
 _MAX_TRIES = 1000
 _MIN_GRASPS = 8
 # Streams of randomness beside the scene's own, so that an option drawn from one leaves the others alone.
-_PHYSICS, _APPEARANCE, _MOTION = 1, 2, 3
+_PHYSICS, _APPEARANCE, _MOTION, _ORDER = 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class SceneSampler:
         raise ObjectError(
             f"None of {_MAX_TRIES} draws from {len(self.objects)} objects (the last: "
             f"{self.objects[object_id].name}) lies within reach with {_MIN_GRASPS} grasps clear: "
-            "choose other objects, or widen start.table_x and start.table_y."
+            "choose other objects, or widen env.start.table_x and env.start.table_y."
         )
 
     @staticmethod
@@ -113,7 +113,7 @@ class SceneSampler:
         """Index of the object that is tried."""
         if self.order == "cycle":
             # An object that cannot be presented is tried at twenty places before its turn is over.
-            order = np.random.default_rng((seed, world)).permutation(len(self.objects))
+            order = self._stream(seed, world, 0, _ORDER).permutation(len(self.objects))
             return int(order[(episode + attempt // 20) % len(order)])
         if isinstance(self.objects, ObjectSet):
             return self.objects.draw(rng)

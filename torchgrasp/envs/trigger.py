@@ -19,8 +19,8 @@ _COVERED = 0.5
 def is_between_fingers(target: GraspObject, T_base_object: np.ndarray, T_base_ee: np.ndarray) -> bool:
     """Whether the target fills half of the space between the open fingers' pads.
 
-    Rays from the pads' faces, 49 a side, tell: half of them must meet the target before the other pad,
-    and so must one in the pads' half that is nearer to the palm, that the object be well inside.
+    49 rays from one pad's face tell: half of them must meet the target before the other pad, and so must
+    one in the pads' half that is nearer to the palm, that the object be well inside.
     """
     T_object_ee = np.linalg.solve(T_base_object, T_base_ee)
     origins, directions = pad_rays(T_object_ee[None])

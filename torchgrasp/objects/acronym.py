@@ -7,6 +7,7 @@ holds 2,000 grasps of it, each tried in a simulator (FleX).
 
 from __future__ import annotations
 
+import warnings
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -70,8 +71,10 @@ class AcronymObjects(FileObjects):
         check_on_error(on_error)
         self.path = Path(path).expanduser()
         files = _chosen(self.path, split, include)[:num_objects]
+        sources = {file: _source_or_skip(self.path, file, on_error) for file in files}
+        files = [file for file, source in sources.items() if source is not None]
         super().__init__(
-            [_source(self.path, file) for file in files],
+            [source for source in sources.values() if source is not None],
             concavity=concavity,
             min_grasps=min_grasps,
             num_grasps=num_grasps,
@@ -154,6 +157,17 @@ def _source(path: Path, file: Path) -> Source:
     if not 0.0 < scale < float("inf"):
         raise ObjectError(f"{file} has object/scale={scale}: a positive factor is expected.")
     return Source(file.stem, path / named, Path(named).parent.name, "CC BY-NC 4.0", scale)
+
+
+def _source_or_skip(path: Path, file: Path, on_error: str) -> Source | None:
+    """What `_source` returns; None, with a warning, where it fails and failures are skipped."""
+    try:
+        return _source(path, file)
+    except ObjectError as error:
+        if on_error == "raise":
+            raise
+        warnings.warn(f"Skipped: {error}", stacklevel=3)
+        return None
 
 
 def _chosen(path: Path, split: Split | None, include: Sequence[str] | None) -> list[Path]:

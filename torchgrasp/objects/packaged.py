@@ -2,7 +2,7 @@
 
 A small index beside the code lists each object as usable or says why it is not, so that a set is cheap
 to construct and never meets an object that cannot be grasped. `python -m torchgrasp objects <set>
---all --write-index` makes it.
+--write-index` makes it.
 """
 
 from __future__ import annotations

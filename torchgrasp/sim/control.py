@@ -49,7 +49,7 @@ class ActionSpace(ABC):
 
 
 class EeDelta(ActionSpace):
-    """The hand's pose relative to where it is: metres, intrinsic XYZ Euler angles (reference, Sec. 3.1)."""
+    """The hand's pose relative to where it is: metres, intrinsic XYZ Euler angles."""
 
     bound = ACTION_BOUND
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 
 import numpy as np
 
@@ -64,14 +65,23 @@ class Physics:
             *("free_rate", "approach_rate", "close_rate", "lift_rate"),
         ):
             check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf, open_low=True)
+        pairs = {name: _pair(name, each) for name, each in self.vary.items() if each is not None}
+        object.__setattr__(self, "vary", pairs)
         for name, pair in self.vary.items():
-            if name not in _DRAWN:
-                raise ConfigError(f"physics.vary has {name!r}: only {', '.join(_DRAWN)} can vary.")
-            if len(pair) != 2 or not pair[0] <= pair[1]:
-                raise ConfigError(f"physics.vary.{name}={list(pair)}: give [low, high].")
-            replace(self, **{name: pair[0]}, vary={})  # the same checks as for a fixed value
+            for value in pair:
+                replace(self, **{name: value}, vary={})  # the same checks as for a fixed value
 
     def draw(self, rng: np.random.Generator) -> Physics:
         """The physics of one episode: what varies is drawn, nothing varies any more."""
         drawn = {name: float(rng.uniform(*self.vary[name])) for name in _DRAWN if name in self.vary}
         return replace(self, **drawn, vary={})
+
+
+def _pair(name: str, pair: object) -> tuple[float, float]:
+    """(low, high) of a range, or an error that names it."""
+    if name not in _DRAWN:
+        raise ConfigError(f"physics.vary has {name!r}: only {', '.join(_DRAWN)} can vary.")
+    whole = isinstance(pair, Sequence) and len(pair) == 2 and all(isinstance(each, Real) for each in pair)
+    if not whole or not -np.inf < pair[0] <= pair[1] < np.inf:  # type: ignore[index]
+        raise ConfigError(f"physics.vary.{name}={pair!r}: give [low, high], or null for a fixed value.")
+    return float(pair[0]), float(pair[1])  # type: ignore[index]

@@ -33,7 +33,10 @@ class PointTransform(Transform):
 
     def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0, per_episode: bool = False) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._generators = MomentGenerators(seed, purpose=type(self).__name__, per_episode=per_episode)
+        # Two of one class that read different cameras draw different numbers.
+        overhead = any(key == keys.T_BASE_OVERHEAD or key[0] == "overhead" for key in in_keys)
+        purpose = type(self).__name__ + (" overhead" if overhead else "")
+        self._generators = MomentGenerators(seed, purpose=purpose, per_episode=per_episode)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Transform the tensordict and, where there is one, its "next"."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import torch
 from tensordict import TensorDictBase
@@ -32,6 +32,12 @@ class HistoryTransform(PointTransform, Generic[Memory]):
     def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys, seed=seed)
         self._memories: list[Memory] = []
+
+    def clone(self) -> Self:
+        """A copy for another environment, which has seen nothing yet."""
+        copied = super().clone()
+        copied._memories = []
+        return copied
 
     @abstractmethod
     def _begin(self) -> Memory:
