@@ -16,13 +16,12 @@ from torchgrasp.objects import (
     RandomUrdfObjects,
     YcbObjects,
 )
-from torchgrasp.objects.build import BUILD_VERSION
+from torchgrasp.objects.build import BUILD_VERSION, MIN_CLEAR_GRASPS
 from torchgrasp.objects.packaged import INDEX_DIR
 from torchgrasp.sim import Physics, prepare_resting, settled_poses
 from torchgrasp.sim.reach import clear_grasps
 
 HELP = "build a set of objects and list which of them can be grasped"
-_MIN_CLEAR = 8  # grasps that a resting pose must leave clear of the table, as in the environment
 _PACKAGED = {"ycb": YcbObjects, "random_urdfs": RandomUrdfObjects}
 _FROM_PATH = {"folder": FolderObjects, "acronym": AcronymObjects}
 
@@ -91,7 +90,7 @@ def describe(objects: ObjectSet, index: int, physics: Physics) -> Row:
     except ObjectError as error:
         return Row(name, licence, _short(str(error)))
     poses = settled_poses(item, physics)
-    clear = sum(len(clear_grasps(item, pose)) >= _MIN_CLEAR for pose in poses)
+    clear = sum(len(clear_grasps(item, pose)) >= MIN_CLEAR_GRASPS for pose in poses)
     return Row(
         name,
         licence,
@@ -106,7 +105,11 @@ def describe(objects: ObjectSet, index: int, physics: Physics) -> Row:
 def _why_not(resting: int, clear: int) -> str:
     if not resting:
         return "comes to rest in none of its poses"
-    return "" if clear else f"none of {resting} resting poses leaves {_MIN_CLEAR} grasps clear of the table"
+    return (
+        ""
+        if clear
+        else f"none of {resting} resting poses leaves {MIN_CLEAR_GRASPS} grasps clear of the table"
+    )
 
 
 def _centimetres(item: GraspObject) -> str:

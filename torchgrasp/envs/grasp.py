@@ -23,9 +23,8 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import Camera, Physics, Placement, RaycastCamera, Worlds
 from torchgrasp.sim.control import ActionSpaceName, make_action_space
+from torchgrasp.sim.world import LIFTED
 
-# Metres that the object must have risen (released code).
-LIFTED = 0.08
 _FALLEN = -0.10
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from torchgrasp.envs.motion import TargetMotion
 from torchgrasp.envs.starts import Start
 from torchgrasp.errors import ConfigError, ObjectError
+from torchgrasp.objects.build import MIN_CLEAR_GRASPS
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import ObjectSet
 from torchgrasp.sim import kinematics
@@ -19,7 +20,6 @@ from torchgrasp.sim.reach import clear_grasps, in_reach
 from torchgrasp.sim.settle import settled_poses
 
 _MAX_TRIES = 1000
-_MIN_GRASPS = 8
 # Streams of randomness beside the scene's own, so that an option drawn from one leaves the others alone.
 _PHYSICS, _APPEARANCE, _MOTION, _ORDER = 1, 2, 3, 4
 
@@ -101,7 +101,7 @@ class SceneSampler:
                 return Scene(object_id, T_base_object, q, physics, moves, appearance)
         raise ObjectError(
             f"None of {_MAX_TRIES} draws from {len(self.objects)} objects (the last: "
-            f"{self.objects[object_id].name}) lies within reach with {_MIN_GRASPS} grasps clear: "
+            f"{self.objects[object_id].name}) lies within reach with {MIN_CLEAR_GRASPS} grasps clear: "
             "choose other objects, or widen env.start.table_x and env.start.table_y."
         )
 
@@ -124,7 +124,7 @@ class SceneSampler:
         if object_id not in self._resting:
             target = self.objects[object_id]
             poses = settled_poses(target, self.physics)
-            usable = [pose for pose in poses if len(clear_grasps(target, pose)) >= _MIN_GRASPS]
+            usable = [pose for pose in poses if len(clear_grasps(target, pose)) >= MIN_CLEAR_GRASPS]
             self._resting[object_id] = np.array(usable).reshape(-1, 4, 4)
         return self._resting[object_id]
 
@@ -150,6 +150,6 @@ class SceneSampler:
         clear = clear_grasps(target, T_base_object)
         order = rng.permutation(len(clear))[:64]
         clear = type(clear)(clear.index[order], clear.T_base_ee[order])
-        if len(in_reach(clear, kinematics.READY_POSTURE, at_most=_MIN_GRASPS)) < _MIN_GRASPS:
+        if len(in_reach(clear, kinematics.READY_POSTURE, at_most=MIN_CLEAR_GRASPS)) < MIN_CLEAR_GRASPS:
             return None
         return self.start.posture(rng, target, T_base_object)

@@ -12,6 +12,7 @@ from torchgrasp.objects.model import GraspObject, content_hash
 from torchgrasp.objects.resting import resting_poses
 from torchgrasp.objects.solids import Solid, mass_properties
 
+MIN_CLEAR_GRASPS = 8  # that a resting pose must leave clear of the table to be used
 BUILD_VERSION = 4  # part of every cache file's name: raise it when the same input gives another object
 
 
@@ -80,7 +81,7 @@ def assemble(
     )
 
 
-def graspable_at_rest(item: GraspObject, *, min_grasps: int = 8) -> float:
+def graspable_at_rest(item: GraspObject, *, min_grasps: int = MIN_CLEAR_GRASPS) -> float:
     """The probability of the resting poses that leave at least `min_grasps` grasps clear of the table."""
     clear = [clear_of_table(pose @ item.grasps).sum() for pose in item.resting_poses]
     return float(item.resting_probability[np.asarray(clear) >= min_grasps].sum())

@@ -7,9 +7,7 @@ import numpy as np
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.physics import Physics
-from torchgrasp.sim.world import Placement, World
-
-_LIFTED = 0.08  # metres that count as lifted, as in the environment
+from torchgrasp.sim.world import LIFTED, Placement, World
 
 
 def grasp_holds(target: GraspObject, T_object_ee: np.ndarray, physics: Physics) -> bool:
@@ -28,4 +26,4 @@ def grasp_holds(target: GraspObject, T_object_ee: np.ndarray, physics: Physics) 
     before = world.T_base_object[2, 3]
     for _ in world.lift():
         pass
-    return bool(world.T_base_object[2, 3] - before > _LIFTED)
+    return bool(world.T_base_object[2, 3] - before > LIFTED)

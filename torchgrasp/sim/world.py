@@ -22,6 +22,8 @@ _HAND_CENTRE, _HAND_HALF = np.array([0.0, 0.0, 0.0435]), np.array([0.0315, 0.102
 _HAND_RADIUS = float(np.linalg.norm(_HAND_HALF))
 _STANDING = 2e-3  # m/s below which a finger stands
 _LIFT_STAGES = 8
+# Metres that an object must have risen to count as lifted (released code).
+LIFTED = 0.08
 
 
 @dataclass(frozen=True)
