@@ -21,7 +21,6 @@ from torchrl.envs.utils import step_mdp
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
-from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import probe_renderer
 from torchgrasp.training import Progress, hardware, make_run_dir, one_line_errors, versions
 
@@ -45,7 +44,7 @@ def measure(cfg: DictConfig, *, episodes: int) -> dict:
     env = common.make_env(cfg, "train")
     base = env.base_env
     assert isinstance(base, GraspEnv)
-    expert = ExpertPolicy(base.objects, horizon=base.horizon, action_space=base.actions)
+    expert = common.make_expert(cfg, "train")
     run_episodes(env, expert, Clock(), episodes, base.horizon)
     clock = Clock()
     worlds = base.worlds

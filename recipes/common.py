@@ -116,8 +116,13 @@ def make_actions(cfg: DictConfig) -> ActionSpace:
 
 def make_expert(cfg: DictConfig, split: str, *, execute: bool = True) -> ExpertPolicy:
     """The expert for the objects of a split."""
-    objects, actions = make_objects(cfg, split), make_actions(cfg)
-    return ExpertPolicy(objects, horizon=cfg.env.horizon, action_space=actions, execute=execute)
+    return instantiate(
+        cfg.expert,
+        make_objects(cfg, split),
+        horizon=cfg.env.horizon,
+        action_space=make_actions(cfg),
+        execute=execute,
+    )
 
 
 def make_policy(cfg: DictConfig, name: str) -> Callable:

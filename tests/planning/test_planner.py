@@ -11,8 +11,8 @@ from torchgrasp.envs.scene import SceneSampler
 from torchgrasp.objectives.functional import pose_distance
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.objects.gripper import hand_blocked, lowest_point
-from torchgrasp.planning import GraspPlanner, PlanStatus
-from torchgrasp.planning.planner import pose_distances
+from torchgrasp.planning import FunnelPlanner, GoalChoice, PlanStatus
+from torchgrasp.planning.goals import pose_distances
 from torchgrasp.sim import Physics
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.tracking import track_pose
@@ -29,7 +29,7 @@ def scenes():
 
 
 def plan(scene, *, steps_left: int = HORIZON, planner=None):
-    planner = planner or GraspPlanner()
+    planner = planner or FunnelPlanner()
     return planner.plan(OBJECTS[scene.object_id], scene.T_base_object, scene.q, steps_left, HORIZON)
 
 
@@ -66,7 +66,7 @@ def test_the_way_to_the_grasp_preferred_is_free_of_object_and_table(scenes):
         goal = found.grasps.T_base_ee[[np.argmin(cost)]]
         pose, q = start, scene.q[None]
         for t in range(HORIZON):
-            pose = GraspPlanner().funnel.next_pose(pose, goal, np.array([float(HORIZON - t)]), HORIZON)
+            pose = FunnelPlanner().funnel.next_pose(pose, goal, np.array([float(HORIZON - t)]), HORIZON)
             q, left = track_pose(q, pose)
             assert left[0] < 5e-3 and lowest_point(pose)[0] > 0
             T_object_ee = np.linalg.solve(scene.T_base_object, pose[0])[None]
@@ -76,19 +76,19 @@ def test_the_way_to_the_grasp_preferred_is_free_of_object_and_table(scenes):
 
 def test_an_object_without_grasps():
     item = replace(OBJECTS[0], grasps=OBJECTS[0].grasps[:0], grasp_quality=OBJECTS[0].grasp_quality[:0])
-    found = GraspPlanner().plan(item, resting(0, 0.5, 0.0), READY, HORIZON, HORIZON)
+    found = FunnelPlanner().plan(item, resting(0, 0.5, 0.0), READY, HORIZON, HORIZON)
     assert found.status is PlanStatus.NO_GRASPS and not found.ok and len(found.grasps) == 0
 
 
 def test_an_object_below_the_table():
     pose = resting(0, 0.5, 0.0)
     pose[2, 3] = -0.5
-    found = GraspPlanner().plan(OBJECTS[0], pose, READY, HORIZON, HORIZON)
+    found = FunnelPlanner().plan(OBJECTS[0], pose, READY, HORIZON, HORIZON)
     assert found.status is PlanStatus.TABLE and len(found.grasps) == 0
 
 
 def test_an_object_out_of_reach():
-    found = GraspPlanner().plan(OBJECTS[0], resting(0, 3.0, 0.0), READY, HORIZON, HORIZON)
+    found = FunnelPlanner().plan(OBJECTS[0], resting(0, 3.0, 0.0), READY, HORIZON, HORIZON)
     assert found.status is PlanStatus.REACH and len(found.grasps) == 0
 
 
@@ -113,5 +113,7 @@ def test_plans_are_repeatable_and_leave_their_arguments_alone(scenes):
 def test_better_grasps_are_preferred_by_their_weight(scenes):
     scene = scenes[0]
     quality = OBJECTS[scene.object_id].grasp_quality
-    found = plan(scene, planner=GraspPlanner(quality_weight=0.5, clearance_weight=0.0, blocked=0.0))
+    found = plan(
+        scene, planner=FunnelPlanner(choice=GoalChoice(quality_weight=0.5, clearance_weight=0.0), blocked=0.0)
+    )
     assert found.penalty == pytest.approx(-0.5 * quality[found.grasps.index], abs=1e-6)

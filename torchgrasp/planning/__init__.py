@@ -5,6 +5,10 @@ from torchgrasp.planning.behaviour import ExpertStart as ExpertStart
 from torchgrasp.planning.behaviour import RandomAction as RandomAction
 from torchgrasp.planning.expert import ExpertPolicy as ExpertPolicy
 from torchgrasp.planning.funnel import Funnel as Funnel
-from torchgrasp.planning.planner import GraspPlanner as GraspPlanner
-from torchgrasp.planning.planner import Plan as Plan
-from torchgrasp.planning.planner import PlanStatus as PlanStatus
+from torchgrasp.planning.funnel_planner import FunnelPlanner as FunnelPlanner
+from torchgrasp.planning.goals import GoalChoice as GoalChoice
+from torchgrasp.planning.law import Law as Law
+from torchgrasp.planning.law import PathFollower as PathFollower
+from torchgrasp.planning.plan import Plan as Plan
+from torchgrasp.planning.plan import Planner as Planner
+from torchgrasp.planning.plan import PlanStatus as PlanStatus

@@ -13,7 +13,11 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.geometry import GOAL_SIZE, invert_pose, pose_to_goal
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.planning.planner import GraspPlanner, Plan, PlanStatus, pose_distances
+from torchgrasp.planning.funnel import Funnel
+from torchgrasp.planning.funnel_planner import FunnelPlanner
+from torchgrasp.planning.goals import pose_distances
+from torchgrasp.planning.law import Course, Law
+from torchgrasp.planning.plan import Plan, Planner, PlanStatus
 from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array
 
@@ -28,6 +32,7 @@ class _Pursuit:
     episode: tuple[int, int]
     T_base_object: Array
     plan: Plan
+    planned_at: int
     steps_left: int
     chosen: int = -1
 
@@ -35,6 +40,10 @@ class _Pursuit:
         """Whether the plan still holds: time ran down in the same episode and the object lies still."""
         same = self.episode == episode and steps_left <= self.steps_left
         return same and not _has_moved(self.T_base_object, T_base_object)
+
+    def course(self, T_base_goal: Array) -> Course:
+        """What the law is told."""
+        return Course(self.plan, T_base_goal, self.planned_at - self.steps_left)
 
 
 class ExpertPolicy(TensorDictModuleBase):
@@ -45,13 +54,14 @@ class ExpertPolicy(TensorDictModuleBase):
     labels. States off the expert's own path are welcome. Where there is no grasp to be had,
     HAS_EXPERT and HAS_GOAL are false, both labels are zero, and PLAN_STATUS tells why.
 
-    Batch elements are told apart by their place in the batch, and a new episode by EPISODE or by a
-    clock that went back: use one policy for one batch of worlds.
+    Worlds are told apart by WORLD, wherever in the batch they stand, and a new episode by EPISODE or by
+    a clock that went back.
 
     Args:
         objects: the environment's objects, which OBJECT_ID counts in.
         horizon: the environment's, T.
-        planner: how grasps are chosen and approached.
+        planner: how grasps are chosen and the way to them is proved; `FunnelPlanner` by default.
+        law: how the hand goes on from any state; the planner's own funnel by default.
         action_space: the environment's, in which labels are given.
         loyalty: metres of L_POSE by which another grasp must be nearer.
         execute: also write the label as ACTION; False where another policy acts.
@@ -62,7 +72,8 @@ class ExpertPolicy(TensorDictModuleBase):
         objects: Sequence[GraspObject],
         *,
         horizon: int,
-        planner: GraspPlanner | None = None,
+        planner: Planner | None = None,
+        law: Law | None = None,
         action_space: ActionSpace | None = None,
         loyalty: float = 0.01,
         execute: bool = True,
@@ -70,13 +81,16 @@ class ExpertPolicy(TensorDictModuleBase):
         super().__init__()
         self.objects = objects
         self.horizon = horizon
-        self.planner = planner or GraspPlanner()
+        self.planner = planner or FunnelPlanner()
+        own = self.planner.funnel if isinstance(self.planner, FunnelPlanner) else Funnel()
+        self.law = law or own
         self.actions = action_space or EeDelta()
         self.loyalty = loyalty
         self.in_keys = [
             keys.T_BASE_EE,
             keys.T_BASE_OBJECT,
             keys.OBJECT_ID,
+            keys.WORLD,
             keys.EPISODE,
             keys.JOINTS,
             keys.TIME_LEFT,
@@ -85,11 +99,12 @@ class ExpertPolicy(TensorDictModuleBase):
         self.out_keys = [*labels, keys.ACTION] if execute else labels  # pyright: ignore
         self.execute = execute
         self._pursuits: dict[int, _Pursuit] = {}
+        self._reasons: list[PlanStatus] = []
 
     @property
     def reasons(self) -> list[PlanStatus]:
         """For each world of the last batch whether there is a plan, or why not."""
-        return [self._pursuits[i].plan.status for i in range(len(self._pursuits))]
+        return self._reasons
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -106,40 +121,57 @@ class ExpertPolicy(TensorDictModuleBase):
         steps_left = np.maximum(np.rint(state[keys.TIME_LEFT].cpu().numpy()[:, 0] * self.horizon), 1.0)
         identity = torch.cat((state[keys.OBJECT_ID], state[keys.EPISODE]), dim=-1).tolist()
 
-        goals, has_goal = T_base_ee.copy(), np.zeros(n, dtype=bool)
-        for i in range(n):
-            goal = self._pursue(
-                i, tuple(identity[i]), T_base_ee[i], T_base_object[i], q[i], int(steps_left[i])
-            )
-            if goal is not None:
-                goals[i], has_goal[i] = goal, True
-        target = self.planner.funnel.next_pose(T_base_ee, goals, steps_left, self.horizon)
+        worlds = state[keys.WORLD][:, 0].tolist()
+        courses, self._reasons = [], []
+        for i, world in enumerate(worlds):
+            names = (world, tuple(identity[i]))
+            courses.append(self._pursue(*names, T_base_ee[i], T_base_object[i], q[i], int(steps_left[i])))
+            self._reasons.append(self._pursuits[world].plan.status)
+        rows = [i for i, course in enumerate(courses) if course is not None]
+        target, goals, has_goal = T_base_ee.copy(), T_base_ee.copy(), np.zeros(n, dtype=bool)
+        if rows:
+            held = [course for course in courses if course is not None]
+            has_goal[rows] = True
+            goals[rows] = [course.T_base_goal for course in held]
+            target[rows] = self.law.steer(T_base_ee[rows], held, steps_left[rows], self.horizon)
         action = self.actions.action_towards(q, T_base_ee, target)
         return self._write(tensordict, T_base_ee, action, goals, has_goal)
 
     def _pursue(
         self,
-        i: int,
+        world: int,
         episode: tuple[int, int],
         T_base_ee: Array,
         T_base_object: Array,
         q: Array,
         steps_left: int,
-    ) -> Array | None:
-        """The (4, 4) grasp that world i goes for, None where there is none."""
-        pursuit = self._pursuits.get(i)
-        if pursuit is None or not pursuit.goes_on(episode, T_base_object, steps_left):
-            plan = self.planner.plan(self.objects[episode[0]], T_base_object, q, steps_left, self.horizon)
-            pursuit = self._pursuits[i] = _Pursuit(episode, T_base_object, plan, steps_left)
-        pursuit.steps_left = steps_left
-        if not pursuit.plan.ok:
+    ) -> Course | None:
+        """What a world goes for, None where there is no grasp to be had."""
+        target, pursuit = self.objects[episode[0]], self._pursuits.get(world)
+        if pursuit is not None and pursuit.goes_on(episode, T_base_object, steps_left):
+            pursuit.steps_left = steps_left
+            course = self._choose(pursuit, target, T_base_ee, T_base_object)
+            if course is None or not self.law.is_lost(T_base_ee, course):
+                return course
+        plan = self.planner.plan(target, T_base_object, q, steps_left, self.horizon)
+        pursuit = self._pursuits[world] = _Pursuit(episode, T_base_object, plan, steps_left, steps_left)
+        return self._choose(pursuit, target, T_base_ee, T_base_object)
+
+    def _choose(
+        self, pursuit: _Pursuit, target: GraspObject, T_base_ee: Array, T_base_object: Array
+    ) -> Course | None:
+        """The planned grasp, or the nearest where the law is free to go for any."""
+        plan = pursuit.plan
+        if not plan.ok:
             return None
-        grasps = T_base_object @ self.objects[episode[0]].grasps[pursuit.plan.grasps.index].astype(np.float64)
-        cost = pose_distances(T_base_ee, grasps) + pursuit.plan.penalty
+        if not self.law.any_goal:
+            return pursuit.course(plan.T_base_goal)
+        grasps = T_base_object @ target.grasps[plan.grasps.index].astype(np.float64)
+        cost = pose_distances(T_base_ee, grasps) + plan.penalty
         if pursuit.chosen >= 0:
             cost[pursuit.chosen] -= self.loyalty
         pursuit.chosen = int(np.argmin(cost))
-        return grasps[pursuit.chosen]
+        return pursuit.course(grasps[pursuit.chosen])
 
     def _write(
         self, tensordict: TensorDictBase, T_base_ee: Array, label: Array, goals: Array, has_goal: np.ndarray

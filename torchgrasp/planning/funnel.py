@@ -6,17 +6,19 @@ the grasp as the misalignment goes: from any state there is one smooth way, no s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from torchgrasp.errors import check_range
+from torchgrasp.planning.law import Course, Law
 from torchgrasp.sim.kinematics import Array
 
 
 @dataclass(frozen=True)
-class Funnel:
+class Funnel(Law):
     """The law's numbers; lengths in metres, angles in radians.
 
     Attributes:
@@ -49,6 +51,11 @@ class Funnel:
         check_range("funnel.settle", self.settle, 1.0, np.inf)
         for name in ("arrive", "align"):
             check_range(f"funnel.{name}", getattr(self, name), 0.0, 1.0, open_low=True)
+
+    def steer(self, T_base_ee: Array, courses: Sequence[Course], steps_left: Array, horizon: int) -> Array:
+        """See `Law.steer`."""
+        goals = np.array([course.T_base_goal for course in courses]).reshape(-1, 4, 4)
+        return self.next_pose(T_base_ee, goals, steps_left, horizon)
 
     def next_pose(self, T_base_ee: Array, T_base_goal: Array, steps_left: Array, horizon: int) -> Array:
         """The hand pose one step on.
