@@ -21,6 +21,7 @@ from torchrl.envs.utils import step_mdp
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
+from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import probe_renderer
 from torchgrasp.training import Progress, hardware, make_run_dir, one_line_errors, versions
 

@@ -12,3 +12,6 @@ from torchgrasp.planning.law import PathFollower as PathFollower
 from torchgrasp.planning.plan import Plan as Plan
 from torchgrasp.planning.plan import Planner as Planner
 from torchgrasp.planning.plan import PlanStatus as PlanStatus
+from torchgrasp.planning.straight_planner import StraightPlanner as StraightPlanner
+from torchgrasp.planning.trajectory import TrajectoryOptimizer as TrajectoryOptimizer
+from torchgrasp.planning.trajectory_planner import TrajectoryPlanner as TrajectoryPlanner

@@ -36,10 +36,13 @@ class _Pursuit:
     steps_left: int
     chosen: int = -1
 
+    def is_of(self, episode: tuple[int, int], steps_left: int) -> bool:
+        """Whether it is of this episode, in which time ran down since."""
+        return self.episode == episode and steps_left <= self.steps_left
+
     def goes_on(self, episode: tuple[int, int], T_base_object: Array, steps_left: int) -> bool:
-        """Whether the plan still holds: time ran down in the same episode and the object lies still."""
-        same = self.episode == episode and steps_left <= self.steps_left
-        return same and not _has_moved(self.T_base_object, T_base_object)
+        """Whether the plan still holds: it is of this episode and the object lies still."""
+        return self.is_of(episode, steps_left) and not _has_moved(self.T_base_object, T_base_object)
 
     def course(self, T_base_goal: Array) -> Course:
         """What the law is told."""
@@ -154,6 +157,10 @@ class ExpertPolicy(TensorDictModuleBase):
             if course is None or not self.law.is_lost(T_base_ee, course):
                 return course
         plan = self.planner.plan(target, T_base_object, q, steps_left, self.horizon)
+        if not plan.ok and pursuit is not None and pursuit.plan.ok and pursuit.is_of(episode, steps_left):
+            # Late in an episode there is often no new way: better the grasps known than none.
+            pursuit.T_base_object, pursuit.steps_left = T_base_object, steps_left
+            return self._choose(pursuit, target, T_base_ee, T_base_object)
         pursuit = self._pursuits[world] = _Pursuit(episode, T_base_object, plan, steps_left, steps_left)
         return self._choose(pursuit, target, T_base_ee, T_base_object)
 

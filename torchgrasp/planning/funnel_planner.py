@@ -7,23 +7,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from torchgrasp.objects.gripper import hand_blocked, lowest_point
+from torchgrasp.errors import check_range
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.objects.surface import surface_points
+from torchgrasp.planning.clearance import Clearance
+from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
+from torchgrasp.planning.driven import drive_along
 from torchgrasp.planning.funnel import Funnel
 from torchgrasp.planning.goals import GoalChoice
 from torchgrasp.planning.plan import Plan, Planner, PlanStatus
-from torchgrasp.sim import kinematics, tracking
+from torchgrasp.sim import kinematics
 from torchgrasp.sim.kinematics import Array
-
-
-@dataclass(frozen=True)
-class _Rollouts:
-    """What became of K rollouts: joint paths (K, S + 1, 7), hand poses (K, S + 1, 4, 4), free (K,)."""
-
-    q: Array
-    T_base_ee: Array
-    free: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -35,6 +28,7 @@ class FunnelPlanner(Planner):
         choice: which grasps are goals.
         num_rollouts: how many goals are rolled out at once, until one way is free.
         blocked: penalty of a grasp whose way was found blocked from the start, metres of L_POSE.
+        budget: seconds after which no further way is tried; a plan that runs into it is not repeatable.
         prove: False takes the goal set as it is, without a rollout, as an ablation.
     """
 
@@ -42,7 +36,12 @@ class FunnelPlanner(Planner):
     choice: GoalChoice = field(default_factory=GoalChoice)
     num_rollouts: int = 4
     blocked: float = 0.25
+    budget: float = 2.0
     prove: bool = True
+
+    def __post_init__(self) -> None:
+        check_range("funnel_planner.num_rollouts", self.num_rollouts, 1, np.inf)
+        check_range("funnel_planner.budget", self.budget, 0.0, np.inf)
 
     def plan(
         self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
@@ -52,38 +51,30 @@ class FunnelPlanner(Planner):
         status, grasps = self.choice.choose(target, T_base_object, q)
         if status is not PlanStatus.OK:
             return Plan(status, seconds=time.perf_counter() - started)
-        cost = self.choice.cost(target, grasps)
+        clearance, cost = Clearance.of(target, T_base_object), self.choice.cost(target, grasps)
+        if starts_inside(target, T_base_object, q, clearance):
+            return Plan(PlanStatus.START, seconds=time.perf_counter() - started)
         if not self.prove:
             return Plan(status, grasps, cost, seconds=time.perf_counter() - started)
-        tried = np.zeros(len(grasps), dtype=bool)
         for start in range(0, len(grasps), self.num_rollouts):
-            batch = slice(start, start + self.num_rollouts)
-            rollouts = self._roll_out(target, T_base_object, q, grasps.T_base_ee[batch], steps_left, horizon)
-            tried[batch] = ~rollouts.free
-            if rollouts.free.any():
-                row = int(np.argmax(rollouts.free))
-                toll = np.where(tried, self.blocked, 0.0)
-                path = rollouts.q[row], rollouts.T_base_ee[row]
-                seconds = time.perf_counter() - started
-                return Plan(status, grasps, cost + toll, start + row, *path, seconds)
+            if time.perf_counter() - started > self.budget:
+                return Plan(PlanStatus.TIME, seconds=time.perf_counter() - started)
+            goals = grasps.T_base_ee[start : start + self.num_rollouts]
+            ways = self._roll_out(q, goals, steps_left, horizon)
+            arrives = np.linalg.norm(ways[:, -1, :3, 3] - goals[:, :3, 3], axis=-1) < 5e-3
+            for row, free in enumerate(arrives & hand_is_free(target, T_base_object, ways)):
+                path = drive_along(q, ways[row]) if free else None
+                if path is not None and arm_is_free(clearance, path[None])[0]:
+                    seconds = time.perf_counter() - started
+                    return Plan(status, grasps, cost, start + row, path, ways[row], seconds)
+                cost[start + row] += self.blocked
         return Plan(PlanStatus.BLOCKED, seconds=time.perf_counter() - started)
 
-    def _roll_out(
-        self, target: GraspObject, T_base_object: Array, q: Array, goals: Array, steps_left: int, horizon: int
-    ) -> _Rollouts:
-        """Follow the funnel to each of the goals (K, 4, 4) as the controller would."""
-        path_q = np.empty((len(goals), steps_left + 1, 7))
-        path = np.empty((len(goals), steps_left + 1, 4, 4))
-        path_q[:, 0] = q
-        path[:, 0] = kinematics.forward_kinematics(q[None])
-        free = np.ones(len(goals), dtype=bool)
-        for t in range(steps_left):
-            left = np.full(len(goals), float(steps_left - t))
-            path[:, t + 1] = self.funnel.next_pose(path[:, t], goals, left, horizon)
-            path_q[:, t + 1], error = tracking.track_pose(path_q[:, t], path[:, t + 1], tolerance=1e-3)
-            free &= error < 2e-3
-        free &= (lowest_point(path[:, 1:]) > 0.0).all(axis=-1)
-        free &= np.linalg.norm(path[:, -1, :3, 3] - goals[:, :3, 3], axis=-1) < 5e-3
-        T_object_ee = np.linalg.solve(T_base_object, path[:, 1:].reshape(-1, 4, 4))
-        touched = hand_blocked(surface_points(target), T_object_ee, approach=0.0)
-        return _Rollouts(path_q, path, free & ~touched.reshape(len(goals), -1).any(axis=-1))
+    def _roll_out(self, q: Array, goals: Array, steps_left: int, horizon: int) -> Array:
+        """(K, steps_left + 1, 4, 4) the funnel's ways from q to goals (K, 4, 4)."""
+        ways = np.empty((len(goals), steps_left + 1, 4, 4))
+        ways[:, 0] = kinematics.forward_kinematics(q[None])
+        for step in range(steps_left):
+            left = np.full(len(goals), float(steps_left - step))
+            ways[:, step + 1] = self.funnel.next_pose(ways[:, step], goals, left, horizon)
+        return ways

@@ -22,6 +22,7 @@ class PlanStatus(Enum):
     REACH = "no grasp is within the arm's reach"
     BLOCKED = "the way to every grasp in reach is blocked"
     START = "the arm is in collision where it starts"
+    STEPS = "no clear way is short enough for the steps left"
     TIME = "the time budget was spent before a clear way was found"
 
     @property
@@ -38,6 +39,11 @@ class PlanStatus(Enum):
 def no_grasps() -> ReachableGrasps:
     """The empty goal set."""
     return ReachableGrasps(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
+
+
+def steps_to_arrive(steps_left: int, horizon: int, arrive: float) -> int:
+    """Control steps until a share `arrive` of the horizon is over, at least 1."""
+    return max(1, steps_left - int(np.floor((1 - arrive) * horizon)))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from torchgrasp.sim.panda_tables import (
     FINGER_SHAPES,
     HAND_INERTIAL,
     HAND_SHAPES,
+    IGNORE_BITS,
     INERTIALS,
     Inertial,
     Shape,
@@ -30,14 +31,6 @@ FINGER_ARMATURE = 0.2
 # A negative target, so that a thin wall between the pads still gets the fingers' whole force.
 FINGER_CLOSED = -0.04
 _ROBOT_ID = 1
-
-
-# Links that share a bit never collide: neighbours, and pairs that the arm's SRDF (franka_ros) rules
-# out. What stays on: forearm, wrist and hand against base, shoulder and upper arm.
-_IGNORE_BITS = {
-    "link0": 0b00001, "link1": 0b00001, "link2": 0b01001, "link3": 0b10011, "link4": 0b00111,
-    "link5": 0b10100, "link6": 0b11110, "link7": 0b10010, "hand": 0b00010, "finger": 0b00010,
-}  # fmt: skip
 
 
 class Panda:
@@ -102,7 +95,7 @@ class Panda:
         link.set_name(name)
         link.set_joint_name(f"{name}_joint")
         is_finger = name.endswith("finger")
-        link.collision_groups = [1, 1, _IGNORE_BITS["finger" if is_finger else name], _ROBOT_ID]
+        link.collision_groups = [1, 1, IGNORE_BITS["finger" if is_finger else name], _ROBOT_ID]
         moments, axes = _principal_axes(inertial)
         link.set_mass_and_inertia(inertial.mass, Pose(axes), moments)
         material = self._finger_material if is_finger else self._body_material

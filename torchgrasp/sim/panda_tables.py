@@ -125,6 +125,13 @@ FINGER_SHAPES = (
     Shape((0.0175, 0.0152, 0.0185), (0.0, 0.00758, 0.04525)),
 )
 
+# Links that share a bit never collide: neighbours, and pairs that the arm's SRDF (franka_ros) rules
+# out. What stays on: forearm, wrist and hand against base, shoulder and upper arm.
+IGNORE_BITS = {
+    "link0": 0b00001, "link1": 0b00001, "link2": 0b01001, "link3": 0b10011, "link4": 0b00111,
+    "link5": 0b10100, "link6": 0b11110, "link7": 0b10010, "hand": 0b00010, "finger": 0b00010,
+}  # fmt: skip
+
 
 def mirrored(shape: Shape) -> Shape:
     """The same shape on the other finger."""
