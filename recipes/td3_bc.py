@@ -45,7 +45,7 @@ def train(cfg: DictConfig) -> dict:
             tensorboard=cfg.logger.tensorboard,
         )
         pretrain(cfg, learner, logger, run_dir)
-        if cfg.pretrain.steps and "bc" not in learner.results:
+        if cfg.pretrain.steps and cfg.total_env_steps and "bc" not in learner.results:
             learner.results["bc"] = common.evaluate(cfg, pool, learner.actor, "imitation alone")
             learner.checkpoint(run_dir)
         reinforce(cfg, learner, logger, pool, run_dir)
