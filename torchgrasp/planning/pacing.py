@@ -9,6 +9,7 @@ from torchgrasp.sim.kinematics import JOINT_VELOCITY, Array, forward_kinematics,
 
 # Shares of the limits that a plan uses: the rest is for the controller to catch up with.
 _JOINTS, _HAND = 0.9, 0.9
+_PIECE = 0.05  # radians of a joint
 
 
 def effort(path: Array, control_period: float) -> Array:
@@ -32,6 +33,7 @@ def pace(path: Array, steps: int | None, control_period: float) -> Array | None:
     Returns:
         None where `steps` are too few for the limits.
     """
+    path = _refined(path)
     spent = np.concatenate(([0.0], np.cumsum(effort(path, control_period))))
     fewest = max(1, int(np.ceil(spent[-1] - 1e-9)))
     steps = fewest if steps is None else steps
@@ -39,3 +41,12 @@ def pace(path: Array, steps: int | None, control_period: float) -> Array | None:
         return None
     due = np.linspace(0.0, spent[-1], steps + 1)
     return np.stack([np.interp(due, spent, path[:, joint]) for joint in range(7)], axis=-1)
+
+
+def _refined(path: Array) -> Array:
+    """The same path in pieces so short that a chord of the hand's arc is as long as the arc."""
+    pieces = [path[:1]]
+    for start, end in zip(path[:-1], path[1:], strict=True):
+        count = max(1, int(np.ceil(np.abs(end - start).max() / _PIECE)))
+        pieces.append(start + np.arange(1, count + 1)[:, None] / count * (end - start))
+    return np.concatenate(pieces)
