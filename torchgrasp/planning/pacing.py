@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from torchgrasp.geometry import ACTION_BOUND
@@ -46,7 +48,7 @@ def pace(path: Array, steps: int | None, control_period: float) -> Array | None:
 def _refined(path: Array) -> Array:
     """The same path in pieces so short that a chord of the hand's arc is as long as the arc."""
     pieces = [path[:1]]
-    for start, end in zip(path[:-1], path[1:], strict=True):
+    for start, end in pairwise(path):
         count = max(1, int(np.ceil(np.abs(end - start).max() / _PIECE)))
         pieces.append(start + np.arange(1, count + 1)[:, None] / count * (end - start))
     return np.concatenate(pieces)
