@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets."""
+"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import settings
 import torch
 from clock import Clock
 from omegaconf import DictConfig, OmegaConf
+from planner_bench import benchmark_planner
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
@@ -152,7 +153,7 @@ def _resident_megabytes() -> float:
 
 def benchmark(cfg: DictConfig) -> dict:
     """Run the suite; print and write its table."""
-    suites = {"env": benchmark_env, "resets": benchmark_resets}
+    suites = {"env": benchmark_env, "resets": benchmark_resets, "planner": benchmark_planner}
     if cfg.suite not in suites:
         raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")
     settings.check_values(cfg)

@@ -29,7 +29,7 @@ _AT_LEAST = {
     "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0, "pretrain.batch_size": 1,
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
-    "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1,
+    "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
     "video.episodes": 0, "video.fps": 1,
 }  # fmt: skip
 
