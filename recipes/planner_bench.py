@@ -64,14 +64,15 @@ def benchmark_planner(cfg: DictConfig) -> dict:
 
 def _print_row(name: str, row: dict) -> None:
     low, high = (100 * bound for bound in row["success_ci95"])
+    median, p95 = row["plan_median_milliseconds"], row["plan_p95_milliseconds"]
     print(
-        f"{name:18s} plan {row['plan_median_milliseconds']:5.1f} ms (95 %: {row['plan_p95_milliseconds']:.1f}), "
-        f"label {row['label_milliseconds']:.2f} ms a step; "
+        f"{name:18s} plan {median:.1f} ms (95 %: {p95:.1f}), label {row['label_milliseconds']:.2f} ms a step, "
         f"success {100 * row['success_rate']:.1f} % [{low:.1f}, {high:.1f}]"
     )
+    median, p95 = row["neighbour_ratio_median"], row["neighbour_ratio_p95"]
     print(
-        f"{'':18s} neighbours: actions differ by {row['neighbour_ratio_median']:.2f} of the states' distance "
-        f"(95 %: {row['neighbour_ratio_p95']:.1f}), another grasp for {100 * row['neighbour_other_goal']:.1f} %"
+        f"{'':18s} neighbours: actions differ by {median:.2f} of the states' distance (95 %: {p95:.1f}), "
+        f"another grasp {100 * row['neighbour_other_goal']:.1f} %"
     )
 
 
