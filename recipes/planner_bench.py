@@ -66,7 +66,7 @@ def _print_row(name: str, row: dict) -> None:
     low, high = (100 * bound for bound in row["success_ci95"])
     median, p95 = row["plan_median_milliseconds"], row["plan_p95_milliseconds"]
     print(
-        f"{name:18s} plan {median:.1f} ms (95 %: {p95:.1f}), label {row['label_milliseconds']:.2f} ms a step, "
+        f"{name:18s} plan {median:.1f} ms (95 %: {p95:.1f}), label {row['label_milliseconds']:.2f} ms, "
         f"success {100 * row['success_rate']:.1f} % [{low:.1f}, {high:.1f}]"
     )
     median, p95 = row["neighbour_ratio_median"], row["neighbour_ratio_p95"]

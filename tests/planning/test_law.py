@@ -1,0 +1,120 @@
+"""Laws: what they are told, and when they ask for a new plan."""
+
+import numpy as np
+import pytest
+import torch
+
+from torchgrasp.envs import GraspEnv
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import action_to_pose, goal_to_pose
+from torchgrasp.objects import ProceduralObjects
+from torchgrasp.planning import (
+    ExpertPolicy,
+    Funnel,
+    PathFollower,
+    StraightPlanner,
+    TrajectoryPlanner,
+)
+from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+from torchgrasp.sim.kinematics import forward_kinematics
+
+OBJECTS = ProceduralObjects("train", num_objects=8, num_grasps=200)
+HORIZON = 30
+VARIANTS = {
+    "trajectory": (TrajectoryPlanner(), PathFollower()),
+    "trajectory_funnel": (TrajectoryPlanner(), Funnel()),
+    "straight": (StraightPlanner(), PathFollower()),
+}
+variants = pytest.mark.parametrize(("planner", "law"), VARIANTS.values(), ids=VARIANTS)
+
+
+def make_env(num_envs: int, **options) -> GraspEnv:
+    torch.set_num_threads(1)
+    camera = RaycastCamera(CameraIntrinsics(4, 4))
+    return GraspEnv(num_envs, objects=OBJECTS, camera=camera, horizon=HORIZON, seed=0, **options)
+
+
+def roll_out(env, policy):
+    return env.rollout(HORIZON, policy, break_when_any_done=False, break_when_all_done=True)
+
+
+@variants
+def test_every_pair_of_planner_and_law_labels_and_lifts(planner, law):
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=planner, law=law)
+    steps = roll_out(make_env(8), expert)
+    assert steps["has_expert"].all() and steps["has_goal"].all()
+    assert steps["next", "reward"][:, -1].sum() >= 6
+    assert steps["expert_action"].abs().amax((0, 1))[:3].max() <= 0.06
+
+
+@pytest.mark.parametrize("action_space", ["joint_delta", "joint_velocity"])
+def test_paths_are_followed_in_joint_actions_too(action_space):
+    env = make_env(6, action_space=action_space)
+    expert = ExpertPolicy(
+        OBJECTS, horizon=HORIZON, planner=TrajectoryPlanner(), law=PathFollower(), action_space=env.actions
+    )
+    assert roll_out(env, expert)["next", "reward"][:, -1].sum() >= 5
+
+
+def test_the_hand_follows_the_planned_poses():
+    env = make_env(4)
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=TrajectoryPlanner(), law=PathFollower())
+    steps = roll_out(env, expert)
+    scene = env.scene(0, 0)
+    plan = TrajectoryPlanner().plan(OBJECTS[scene.object_id], scene.T_base_object, scene.q, HORIZON, HORIZON)
+    hand = steps["T_base_ee"][0, : len(plan.T_base_ee), :3, 3].numpy()
+    assert np.abs(hand - plan.T_base_ee[:HORIZON, :3, 3]).max() < 5e-3
+    goal = (steps["T_base_ee"] @ goal_to_pose(steps["goal"]))[0, 0].numpy()
+    assert goal == pytest.approx(plan.T_base_goal, abs=1e-4)
+
+
+def test_a_hand_that_was_pushed_off_the_path_gets_a_new_one():
+    env = make_env(1)
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=TrajectoryPlanner(), law=PathFollower())
+    state = env.reset()
+    before = expert(state.clone())
+    plan = expert._pursuits[0].plan
+    moved = env.step(before)["next"]
+    assert expert(moved.clone()) is not None and expert._pursuits[0].plan is plan, "on its way: the same plan"
+    push = action_to_pose(torch.tensor([0.03, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    moved["T_base_ee"] = moved["T_base_ee"] @ push
+    expert(moved)
+    assert expert._pursuits[0].plan is not plan
+
+
+def test_without_a_new_way_the_expert_goes_on_to_the_grasp_it_knew():
+    env = make_env(1)
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON)
+    state = expert(env.reset())
+    late = state.clone()
+    late["time_left"] = torch.full((1, 1), 1 / HORIZON)
+    late["T_base_object"][0, 0, 3] += 0.025
+    labels = expert(late)
+    assert labels["has_expert"].all()
+    T_object_goal = torch.linalg.solve(
+        late["T_base_object"], labels["T_base_ee"] @ goal_to_pose(labels["goal"])
+    )
+    grasps = torch.from_numpy(OBJECTS[int(state["object_id"][0])].grasps)
+    assert (grasps - T_object_goal).abs().amax((1, 2)).min() < 1e-4
+
+
+def test_world_numbers_tell_worlds_apart_wherever_they_stand_in_the_batch():
+    env = make_env(3)
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON)
+    first = expert(env.reset())
+    swapped = expert(first.select(*expert.in_keys)[[2, 0, 1]])
+    assert torch.equal(swapped["goal"], first["goal"][[2, 0, 1]])
+
+
+def test_senseless_tolerances_are_refused():
+    with pytest.raises(ConfigError, match="path_follower.max_offset"):
+        PathFollower(max_offset=-1.0)
+
+
+def test_a_path_ends_where_its_last_pose_is():
+    scene = make_env(1).scene(0, 0)
+    plan = TrajectoryPlanner(num_steps="free").plan(
+        OBJECTS[scene.object_id], scene.T_base_object, scene.q, HORIZON, HORIZON
+    )
+    assert len(plan.q) < HORIZON
+    assert forward_kinematics(plan.q[-1:])[0] == pytest.approx(plan.T_base_goal, abs=5e-3)
