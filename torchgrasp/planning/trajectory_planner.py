@@ -46,8 +46,7 @@ class TrajectoryPlanner(Planner):
         optimizer: of the paths from the start to the standoffs.
         standoff: metres before the grasp from which on the hand goes straight (8 cm in the paper).
         approach_points: postures on the straight part.
-        num_grasps: the nearest so many grasps are solved for postures over the arm's null space.
-        postures: so many of a grasp's postures, the nearest to where the arm stands.
+        postures: so many of a grasp's postures over the arm's null space, the nearest to where it stands.
         num_goals: so many postures, the cheapest that are clear, are optimised at once.
         toll: radians of joint path that a metre of `choice`'s cost is worth.
         arrive: share of the horizon after which the hand is at the grasp, as the funnel's.
@@ -57,11 +56,10 @@ class TrajectoryPlanner(Planner):
         control_period: seconds of a control step.
     """
 
-    choice: GoalChoice = field(default_factory=GoalChoice)
+    choice: GoalChoice = field(default_factory=lambda: GoalChoice(max_reached=16))
     optimizer: TrajectoryOptimizer = field(default_factory=TrajectoryOptimizer)
     standoff: float = 0.08
     approach_points: int = 4
-    num_grasps: int = 16
     postures: int = 2
     num_goals: int = 6
     toll: float = 4.0
@@ -74,7 +72,7 @@ class TrajectoryPlanner(Planner):
         check_range("trajectory_planner.standoff", self.standoff, 0.0, 0.3)
         check_range("trajectory_planner.arrive", self.arrive, 0.0, 1.0, open_low=True)
         check_range("trajectory_planner.budget", self.budget, 0.0, np.inf)
-        for name in ("approach_points", "num_grasps", "postures", "num_goals"):
+        for name in ("approach_points", "postures", "num_goals"):
             check_range(f"trajectory_planner.{name}", getattr(self, name), 1, np.inf)
         if self.num_steps not in ("fixed", "free"):
             raise ConfigError(f"trajectory_planner.num_steps={self.num_steps!r}: give fixed or free.")
@@ -126,7 +124,7 @@ class TrajectoryPlanner(Planner):
     ) -> _Goals:
         """Postures of the nearest grasps whose straight approach the arm can follow clear of things."""
         row, postures = [], []
-        for number, pose in enumerate(grasps.T_base_ee[: self.num_grasps]):
+        for number, pose in enumerate(grasps.T_base_ee):
             found = kinematics.sample_postures(pose, q)[: self.postures]
             row += [number] * len(found)
             postures.append(found)
