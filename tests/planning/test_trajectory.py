@@ -104,11 +104,12 @@ def test_paced_steps_keep_ends_limits_and_an_even_effort():
 
 def test_as_few_steps_as_the_limits_allow():
     way = np.stack((START, END))
-    path = pace(way, None, 0.15)
+    path = pace(way, 1, 0.15)
     assert path is not None
     fewest = len(path) - 1
     assert effort(path, 0.15).max() <= 1.0 + 1e-9
-    assert pace(way, fewest - 1, 0.15) is None
+    assert pace(way, 1, 0.15, at_most=fewest - 1) is None
+    assert pace(way, 1, 0.15, at_most=fewest) == pytest.approx(path)
     assert np.abs(np.diff(path, axis=0)).max() <= 0.15 * kin.JOINT_VELOCITY.max()
 
 

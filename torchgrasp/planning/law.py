@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from torchgrasp.errors import check_range
 from torchgrasp.planning.plan import Plan
-from torchgrasp.sim.kinematics import Array
+from torchgrasp.sim.kinematics import Array, pose_error
 
 
 @dataclass(frozen=True)
@@ -64,19 +64,34 @@ class PathFollower(Law):
     Attributes:
         max_offset: metres that the hand may be off the path before a new one is planned.
         max_angle: the same, radians.
+        max_translation, max_rotation: of one step, metres and radians: labels of a hand that is off a path
+            to which there is no other stay inside the actions' bounds.
     """
 
     max_offset: float = 0.015
     max_angle: float = 0.12
+    max_translation: float = 0.055
+    max_rotation: float = 0.45
     any_goal = False
 
     def __post_init__(self) -> None:
         check_range("path_follower.max_offset", self.max_offset, 0.0, np.inf)
         check_range("path_follower.max_angle", self.max_angle, 0.0, np.inf)
+        check_range("path_follower.max_translation", self.max_translation, 0.0, np.inf, open_low=True)
+        check_range("path_follower.max_rotation", self.max_rotation, 0.0, np.inf, open_low=True)
 
     def steer(self, T_base_ee: Array, courses: Sequence[Course], steps_left: Array, horizon: int) -> Array:
         """See `Law.steer`."""
-        return np.array([self._due(course, course.age + 1) for course in courses]).reshape(-1, 4, 4)
+        due = np.array([self._due(course, course.age + 1) for course in courses]).reshape(-1, 4, 4)
+        way = pose_error(T_base_ee, due)
+        moved = self.max_translation / np.maximum(np.linalg.norm(way[:, :3], axis=-1), 1e-9)
+        turned = self.max_rotation / np.maximum(np.linalg.norm(way[:, 3:], axis=-1), 1e-9)
+        share = np.minimum(1.0, np.minimum(moved, turned))[:, None]
+        out = due.copy()
+        out[:, :3, 3] = T_base_ee[:, :3, 3] + share * way[:, :3]
+        turn = Rotation.from_rotvec(share * way[:, 3:]).as_matrix()
+        out[:, :3, :3] = turn @ T_base_ee[:, :3, :3]
+        return out
 
     def is_lost(self, T_base_ee: Array, course: Course) -> bool:
         """See `Law.is_lost`."""

@@ -24,22 +24,22 @@ def effort(path: Array, control_period: float) -> Array:
     return np.maximum(joints.max(axis=-1), np.maximum(*moved))
 
 
-def pace(path: Array, steps: int | None, control_period: float) -> Array | None:
+def pace(path: Array, steps: int, control_period: float, *, at_most: int | None = None) -> Array | None:
     """(S + 1, 7) the path (N, 7) a control step apart, each step of the same effort.
 
     Args:
         path: postures, the first where the arm stands.
-        steps: S, or None for as few as the limits allow.
+        steps: S, more where the arm's limits ask for more.
         control_period: seconds of a step.
+        at_most: the largest S that will do; None for any.
 
     Returns:
-        None where `steps` are too few for the limits.
+        None where `at_most` steps are too few for the limits.
     """
     path = _refined(path)
     spent = np.concatenate(([0.0], np.cumsum(effort(path, control_period))))
-    fewest = max(1, int(np.ceil(spent[-1] - 1e-9)))
-    steps = fewest if steps is None else steps
-    if steps < fewest:
+    steps = max(steps, int(np.ceil(spent[-1] - 1e-9)))
+    if at_most is not None and steps > at_most:
         return None
     due = np.linspace(0.0, spent[-1], steps + 1)
     return np.stack([np.interp(due, spent, path[:, joint]) for joint in range(7)], axis=-1)

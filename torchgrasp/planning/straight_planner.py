@@ -51,7 +51,8 @@ class StraightPlanner(Planner):
             before[:3, 3] -= self.standoff * before[:3, 2]
             way += list(kinematics.sample_postures(before, q)[:1])
         way.append(kinematics.sample_postures(goal, way[-1])[0])
-        path = pace(np.array(way), steps_to_arrive(steps_left, horizon, self.arrive), self.control_period)
+        steps = steps_to_arrive(steps_left, horizon, self.arrive)
+        path = pace(np.array(way), steps, self.control_period, at_most=steps_left)
         if path is None:
             return Plan(PlanStatus.STEPS, seconds=time.perf_counter() - started)
         poses, penalty = kinematics.forward_kinematics(path), self.choice.cost(target, grasps)

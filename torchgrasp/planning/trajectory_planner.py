@@ -21,6 +21,9 @@ from torchgrasp.sim import kinematics, tracking
 from torchgrasp.sim.kinematics import Array
 from torchgrasp.sim.reach import ReachableGrasps
 
+# Metres of standoff for each step left: late labels stay small.
+_RETREAT = 0.012
+
 
 @dataclass(frozen=True)
 class _Goals:
@@ -82,21 +85,30 @@ class TrajectoryPlanner(Planner):
     ) -> Plan:
         """See `Planner.plan`."""
         started = time.perf_counter()
-        steps = steps_to_arrive(steps_left, horizon, self.arrive)
-        found = self._search(target, T_base_object, q, steps, started)
+        # A late hand may take the steps that are kept in reserve, a free one as many as it needs.
+        steps, at_most = steps_to_arrive(steps_left, horizon, self.arrive), steps_left
+        if self.num_steps == "free":
+            steps, at_most = 1, None
+        found = self._search(target, T_base_object, q, (steps, at_most), started)
         return Plan(*found, seconds=time.perf_counter() - started)
 
     def _search(
-        self, target: GraspObject, T_base_object: Array, q: Array, steps: int, started: float
+        self,
+        target: GraspObject,
+        T_base_object: Array,
+        q: Array,
+        limits: tuple[int, int | None],
+        started: float,
     ) -> tuple:
         """The arguments of the plan but for its time."""
+        steps, at_most = limits
         status, grasps = self.choice.choose(target, T_base_object, q)
         if status is not PlanStatus.OK:
             return (status,)
         clearance = Clearance.of(target, T_base_object)
         if starts_inside(target, T_base_object, q, clearance):
             return (PlanStatus.START,)
-        goals = self._solve(target, grasps, q, clearance, steps)
+        goals = self._solve(target, grasps, q, clearance, at_most)
         penalty = self.choice.cost(target, grasps)
         hurried = False
         for first in range(0, len(goals.row), self.num_goals):
@@ -112,7 +124,7 @@ class TrajectoryPlanner(Planner):
             )
             for goal, path in zip(first + order, paths, strict=True):
                 way = np.concatenate((path, goals.approach[goal, 1:]))
-                paced = pace(way, steps if self.num_steps == "fixed" else None, self.control_period)
+                paced = pace(way, steps, self.control_period, at_most=at_most)
                 hurried |= paced is None
                 proved = None if paced is None else self._prove(target, T_base_object, paced, clearance)
                 if proved is not None:
@@ -120,7 +132,12 @@ class TrajectoryPlanner(Planner):
         return (PlanStatus.STEPS if hurried else PlanStatus.BLOCKED,)
 
     def _solve(
-        self, target: GraspObject, grasps: ReachableGrasps, q: Array, clearance: Clearance, steps: int
+        self,
+        target: GraspObject,
+        grasps: ReachableGrasps,
+        q: Array,
+        clearance: Clearance,
+        at_most: int | None,
     ) -> _Goals:
         """Postures of the nearest grasps whose straight approach the arm can follow clear of things."""
         row, postures = [], []
@@ -129,7 +146,7 @@ class TrajectoryPlanner(Planner):
             row += [number] * len(found)
             postures.append(found)
         rows = np.array(row, dtype=np.int64)
-        approach, followed = self._retreat(grasps.T_base_ee[rows], np.concatenate(postures), steps)
+        approach, followed = self._retreat(grasps.T_base_ee[rows], np.concatenate(postures), at_most)
         apart = clearance.distances(approach[:, 0])
         apart = np.minimum(apart, clearance.distances(approach[:, -1], hand=False))
         good = followed & (apart > 0.0)
@@ -138,10 +155,10 @@ class TrajectoryPlanner(Planner):
         order = np.argsort(toll + np.linalg.norm(approach[:, 0] - q, axis=-1), kind="stable")
         return _Goals(rows[order], toll[order], approach[order])
 
-    def _retreat(self, T_base_goals: Array, q: Array, steps: int) -> tuple[Array, np.ndarray]:
+    def _retreat(self, T_base_goals: Array, q: Array, at_most: int | None) -> tuple[Array, np.ndarray]:
         """Joint paths (K, A + 1, 7) from the standoffs to the goals, and (K,) whether the arm can follow."""
         # A late hand has no steps for the whole way back and in again.
-        standoff = min(self.standoff, 0.012 * steps)
+        standoff = self.standoff if at_most is None else min(self.standoff, _RETREAT * at_most)
         path = np.empty((len(q), self.approach_points + 1, 7))
         path[:, -1], followed = q, np.ones(len(q), dtype=bool)
         for point in range(1, self.approach_points + 1):
