@@ -13,11 +13,11 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.geometry import GOAL_SIZE, invert_pose, pose_to_goal
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.planning.funnel import Funnel
 from torchgrasp.planning.funnel_planner import FunnelPlanner
 from torchgrasp.planning.goals import pose_distances
-from torchgrasp.planning.law import Course, Law
+from torchgrasp.planning.law import Course, Law, PathFollower
 from torchgrasp.planning.plan import Plan, Planner, PlanStatus
+from torchgrasp.planning.trajectory_planner import TrajectoryPlanner
 from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array
 
@@ -31,6 +31,7 @@ class _Pursuit:
 
     episode: tuple[int, int]
     T_base_object: Array
+    planned_for: Array
     plan: Plan
     planned_at: int
     steps_left: int
@@ -44,17 +45,18 @@ class _Pursuit:
         """Whether the plan still holds: it is of this episode and the object lies still."""
         return self.is_of(episode, steps_left) and not _has_moved(self.T_base_object, T_base_object)
 
-    def course(self, T_base_goal: Array) -> Course:
+    def course(self, T_base_goal: Array, T_base_object: Array) -> Course:
         """What the law is told."""
-        return Course(self.plan, T_base_goal, self.planned_at - self.steps_left)
+        shift = T_base_object @ np.linalg.inv(self.planned_for)
+        return Course(self.plan, T_base_goal, self.planned_at - self.steps_left, shift)
 
 
 class ExpertPolicy(TensorDictModuleBase):
     """Writes the expert's action and goal for every world of a batch (Sec. 3.5, D_dagger).
 
-    The goal is the grasp nearest to the hand by L_POSE among those that the planner found; the one
-    pursued is kept until another is nearer by `loyalty`, so that neighbouring states get neighbouring
-    labels. States off the expert's own path are welcome. Where there is no grasp to be had,
+    Along a path the goal is the grasp that it ends at, and a hand that was led astray gets a new path. A
+    law that may go for any grasp goes for the nearest by L_POSE among those that the planner found; the
+    one pursued is kept until another is nearer by `loyalty`. Where there is no grasp to be had,
     HAS_EXPERT and HAS_GOAL are false, both labels are zero, and PLAN_STATUS tells why.
 
     Worlds are told apart by WORLD, wherever in the batch they stand, and a new episode by EPISODE or by
@@ -63,8 +65,9 @@ class ExpertPolicy(TensorDictModuleBase):
     Args:
         objects: the environment's objects, which OBJECT_ID counts in.
         horizon: the environment's, T.
-        planner: how grasps are chosen and the way to them is proved; `FunnelPlanner` by default.
-        law: how the hand goes on from any state; the planner's own funnel by default.
+        planner: how grasps are chosen and the way to them is proved; `TrajectoryPlanner` by default.
+        law: how the hand goes on from any state; by default the funnel of a `FunnelPlanner`, along the
+            path of any other.
         action_space: the environment's, in which labels are given.
         loyalty: metres of L_POSE by which another grasp must be nearer.
         execute: also write the label as ACTION; False where another policy acts.
@@ -84,8 +87,8 @@ class ExpertPolicy(TensorDictModuleBase):
         super().__init__()
         self.objects = objects
         self.horizon = horizon
-        self.planner = planner or FunnelPlanner()
-        own = self.planner.funnel if isinstance(self.planner, FunnelPlanner) else Funnel()
+        self.planner = planner or TrajectoryPlanner()
+        own = self.planner.funnel if isinstance(self.planner, FunnelPlanner) else PathFollower()
         self.law = law or own
         self.actions = action_space or EeDelta()
         self.loyalty = loyalty
@@ -161,7 +164,9 @@ class ExpertPolicy(TensorDictModuleBase):
             # Late in an episode there is often no new way: better the grasps known than none.
             pursuit.T_base_object, pursuit.steps_left = T_base_object, steps_left
             return self._choose(pursuit, target, T_base_ee, T_base_object)
-        pursuit = self._pursuits[world] = _Pursuit(episode, T_base_object, plan, steps_left, steps_left)
+        pursuit = self._pursuits[world] = _Pursuit(
+            episode, T_base_object, T_base_object, plan, steps_left, steps_left
+        )
         return self._choose(pursuit, target, T_base_ee, T_base_object)
 
     def _choose(
@@ -171,14 +176,14 @@ class ExpertPolicy(TensorDictModuleBase):
         plan = pursuit.plan
         if not plan.ok:
             return None
-        if not self.law.any_goal:
-            return pursuit.course(plan.T_base_goal)
         grasps = T_base_object @ target.grasps[plan.grasps.index].astype(np.float64)
+        if not self.law.any_goal:
+            return pursuit.course(grasps[plan.chosen], T_base_object)
         cost = pose_distances(T_base_ee, grasps) + plan.penalty
         if pursuit.chosen >= 0:
             cost[pursuit.chosen] -= self.loyalty
         pursuit.chosen = int(np.argmin(cost))
-        return pursuit.course(grasps[pursuit.chosen])
+        return pursuit.course(grasps[pursuit.chosen], T_base_object)
 
     def _write(
         self, tensordict: TensorDictBase, T_base_ee: Array, label: Array, goals: Array, has_goal: np.ndarray

@@ -22,11 +22,13 @@ class Course:
         plan: the plan that holds.
         T_base_goal: (4, 4) the grasp gone for.
         age: control steps since the plan was made.
+        shift: (4, 4) what moved the object since then, in the base: identity where it lies still.
     """
 
     plan: Plan
     T_base_goal: Array
     age: int
+    shift: Array
 
 
 class Law(ABC):
@@ -60,6 +62,8 @@ class Law(ABC):
 @dataclass(frozen=True)
 class PathFollower(Law):
     """Leads the hand back to the planned path, to the pose that is due one step on.
+
+    The path moves with the object, until that has moved so far that a new plan is made.
 
     Attributes:
         max_offset: metres that the hand may be off the path before a new one is planned.
@@ -103,4 +107,4 @@ class PathFollower(Law):
     @staticmethod
     def _due(course: Course, step: int) -> Array:
         path = course.plan.T_base_ee
-        return path[min(step, len(path) - 1)]
+        return course.shift @ path[min(step, len(path) - 1)]
