@@ -10,6 +10,7 @@ from torchgrasp.planning.goals import GoalChoice as GoalChoice
 from torchgrasp.planning.law import Law as Law
 from torchgrasp.planning.law import PathFollower as PathFollower
 from torchgrasp.planning.open_loop import OpenLoopPolicy as OpenLoopPolicy
+from torchgrasp.planning.plan import NO_PLANNER as NO_PLANNER
 from torchgrasp.planning.plan import Plan as Plan
 from torchgrasp.planning.plan import PlanStatus as PlanStatus
 from torchgrasp.planning.plan import Planner as Planner

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -91,11 +90,11 @@ class Relay(TensorDictModuleBase):
 
 def _range(steps: int | Sequence[int], horizon: int) -> tuple[int, int]:
     """(low, high) of the steps of the first policy; raises ConfigError where they do not fit an episode."""
-    ends = (steps, steps) if isinstance(steps, int) else tuple(steps)
-    whole = all(isinstance(end, int | np.integer) and not isinstance(end, bool) for end in ends)
+    ends = list(steps) if isinstance(steps, Sequence) else [steps, steps]
+    whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends)
     if len(ends) != 2 or not whole or not 0 <= ends[0] <= ends[1] <= horizon:
         raise ConfigError(
             f"steps={steps} of a relay: give a whole number, or the least and the most of it, from 0 to the "
             f"episode's {horizon} steps (env.horizon)."
         )
-    return int(ends[0]), int(ends[1])
+    return ends[0], ends[1]
