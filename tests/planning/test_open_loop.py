@@ -10,7 +10,7 @@ from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import action_to_pose
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.planning import FunnelPlanner, OpenLoopPolicy, PlanStatus, PoseNoise
+from torchgrasp.planning import FunnelPlanner, OpenLoopPolicy, PlanStatus, PoseNoise, TrajectoryPlanner
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 
 OBJECTS = ProceduralObjects("train", num_objects=8, num_grasps=200)
@@ -31,7 +31,7 @@ def roll_out(env: GraspEnv, policy) -> TensorDict:
     return env.rollout(HORIZON, policy, break_when_any_done=False, break_when_all_done=True)
 
 
-class Recorder(FunnelPlanner):
+class Recorder(TrajectoryPlanner):
     """The real planner, which keeps what it was asked and what it answered."""
 
     def plan(self, *question):
@@ -42,7 +42,7 @@ class Recorder(FunnelPlanner):
 
 @pytest.fixture(scope="module")
 def planner() -> Recorder:
-    return Recorder()
+    return Recorder(arrive=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def test_it_does_not_look_again(steps):
 
 
 def test_a_pushed_hand_is_led_back_to_the_path(steps):
-    policy = make_policy(planner=FunnelPlanner())
+    policy = make_policy()
     policy(steps[:, 0].clone())
     state = steps[:, 10].clone()
     state["T_base_ee"][:, :3, 3] += torch.tensor([0.01, 0.0, 0.0])
@@ -181,6 +181,7 @@ def test_without_an_error_the_pose_is_the_true_one():
         (lambda: make_policy(steps=31), "planning.steps=31"),
         (lambda: make_policy(steps=0), "planning.steps=0"),
         (lambda: make_policy(steps=2.5), "planning.steps=2.5"),
+        (lambda: make_policy(planner=FunnelPlanner(prove=False)), "prove=True"),
         (lambda: PoseNoise(translation=-0.01), "pose_noise.translation=-0.01"),
         (lambda: PoseNoise(rotation=4.0), "pose_noise.rotation=4.0"),
         (lambda: PoseNoise(distribution="cauchy"), "cauchy"),

@@ -13,11 +13,11 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.planning.funnel import Funnel
 from torchgrasp.planning.funnel_planner import FunnelPlanner
 from torchgrasp.planning.plan import Plan, Planner, PlanStatus
 from torchgrasp.planning.pose_noise import PoseNoise
 from torchgrasp.planning.states import STATE_KEYS, WorldStates
+from torchgrasp.planning.trajectory_planner import TrajectoryPlanner
 from torchgrasp.randomness import MomentGenerators
 from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array
@@ -55,7 +55,7 @@ class OpenLoopPolicy(TensorDictModuleBase):
     Args:
         objects: the environment's objects, which OBJECT_ID counts in.
         horizon: the environment's, T.
-        planner: of the trajectory; by default a `FunnelPlanner` that arrives with the plan's last step.
+        planner: of the trajectory; by default a `TrajectoryPlanner` that arrives with the plan's last step.
         steps: control steps of the plan (Sec. 6.7: 25).
         action_space: the environment's.
         pose_noise: error of the perceived pose, one draw an episode; None perceives perfectly.
@@ -87,10 +87,14 @@ class OpenLoopPolicy(TensorDictModuleBase):
                 f"planning.steps={steps}: give a whole number from 1 to the episode's {horizon} steps "
                 "(env.horizon)."
             )
+        if isinstance(planner, FunnelPlanner) and not planner.prove:
+            raise ConfigError(
+                "planning.planner: a FunnelPlanner with prove=False has no path: give prove=True."
+            )
         self.in_keys = list(STATE_KEYS)
         self.out_keys = [keys.ACTION, keys.PLAN_STATUS]
         self.objects, self.horizon, self.steps = objects, horizon, steps
-        self.planner = planner or FunnelPlanner(funnel=Funnel(arrive=1.0))
+        self.planner = planner or TrajectoryPlanner(arrive=1.0)
         self.actions = action_space or EeDelta()
         self.pose_noise = pose_noise
         self._generators = MomentGenerators(seed, purpose="OpenLoopPolicy", per_episode=True)
