@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -11,25 +11,24 @@ from typing import Any
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from settings import weights_file
 from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
 from torchgrasp import keys
 from torchgrasp.envs import GraspEnv
-from torchgrasp.errors import CheckpointError, ConfigError, ObjectError
+from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.geometry import ACTION_SIZE, gripper_control_points
 from torchgrasp.objects import ObjectSet
-from torchgrasp.planning import ExpertPolicy, RandomAction
+from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import prepare_resting
 from torchgrasp.sim.control import ActionSpace, make_action_space
-from torchgrasp.training import EpisodePool, Progress, SuccessTable, load_weights
+from torchgrasp.training import Episode, EpisodePool, Progress, SuccessTable
 from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
 # What a learner needs of a step; poses and pictures stay where they were made.
 KEPT = (
     *(keys.POINTS, keys.TIME_LEFT, keys.ACTION, keys.EXPERT_ACTION, keys.HAS_EXPERT),
-    *(keys.GOAL, keys.HAS_GOAL, keys.PERTURBED, keys.EPISODE, keys.WORLD),
+    *(keys.GOAL, keys.HAS_GOAL, keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
 )
 # Online episodes are numbered from here on: none repeats a demonstration.
 ONLINE_EPISODES = 1_000_000
@@ -125,41 +124,37 @@ def make_expert(cfg: DictConfig, split: str, *, execute: bool = True) -> ExpertP
     )
 
 
-def make_policy(cfg: DictConfig, name: str) -> Callable:
-    """The policy `name`: expert, random, or a run directory or weights file."""
-    if name == "expert":
-        return make_expert(cfg, "test")
-    if name == "random":
-        return RandomAction(action_bound=make_actions(cfg).bound, seed=cfg.evaluation.seed)
-    path = Path(name)
-    if not path.exists():
-        raise ConfigError(f"policy={name!r}: give expert, random, a run directory or a weights file.")
-    states, config = load_weights(weights_file(path))
-    actor = instantiate(OmegaConf.create(config["model"]).actor)
-    try:
-        actor.load_state_dict(states["actor"])
-    except (KeyError, RuntimeError) as error:
-        raise CheckpointError(f"{path} holds weights of another network: {error}") from error
-    return actor
-
-
 def for_workers(policy: Callable) -> Callable:
     """A copy of the policy for environments, which run on the CPU, in evaluation mode."""
     return deepcopy(policy).to("cpu").eval() if isinstance(policy, nn.Module) else policy
 
 
-def evaluate(cfg: DictConfig, pool: EpisodePool, policy: Callable, description: str) -> dict:
-    """Success of a policy on the first `evaluation.episodes` scenes, and the steps that it took."""
+def evaluate(
+    cfg: DictConfig,
+    pool: EpisodePool,
+    policy: Callable,
+    description: str,
+    *,
+    by: Mapping[str, Callable[[Episode], str]] | None = None,
+) -> dict:
+    """Success of a policy on the first `evaluation.episodes` scenes, and the steps that it took.
+
+    Each entry of `by` names the group that an episode belongs to, and adds a table of the groups.
+    """
     table, wanted, num_steps = SuccessTable(), cfg.evaluation.episodes, 0
+    groups = {name: SuccessTable() for name in by or {}}
     progress = Progress(wanted, description=description, unit="episode")
     numbers = range(-(-wanted // cfg.evaluation.num_envs))
     for batch in pool.run("test", for_workers(policy), numbers):
         for episode in batch[: wanted - table.episodes]:
             table.add(episode.object_name, episode.success, cause=episode.failure)
+            for name, group in (by or {}).items():
+                groups[name].add(group(episode), episode.success, cause=episode.failure)
             num_steps += len(episode.steps)
             progress.update(success_rate=table.success_rate)
     progress.close()
-    return {**table.summary(), "env_steps": num_steps}
+    rows = {name: each.rows() for name, each in groups.items()}
+    return {**table.summary(), **rows, "env_steps": num_steps}
 
 
 def record_videos(cfg: DictConfig, policy: Callable, folder: Path) -> list[Path]:
@@ -185,28 +180,3 @@ def record_videos(cfg: DictConfig, policy: Callable, folder: Path) -> list[Path]
                 progress.update()
     progress.close()
     return paths
-
-
-def describe_scenes(cfg: DictConfig) -> str:
-    """Where the objects of the evaluation come from, in words."""
-    if cfg.objects.get("split") is None:
-        return "the object set as a whole (it has no splits)"
-    return f"the {cfg.evaluation.split} split"
-
-
-def print_comparison(cfg: DictConfig, tables: dict[str, dict]) -> None:
-    """Success rates side by side, the policy's last."""
-    print(f"\nSuccess on the same {cfg.evaluation.episodes} scenes of {describe_scenes(cfg)}, 95 % interval")
-    for name, table in reversed(tables.items()):
-        low, high = (100 * bound for bound in table["success_ci95"])
-        print(f"  {name:30s} {100 * table['success_rate']:5.1f} %  [{low:.1f}, {high:.1f}]")
-
-
-def print_failures(table: dict) -> None:
-    """Why episodes failed, on how many objects none succeeded, and on which."""
-    lifted = len(table["objects"]) - len(table["never_lifted"])
-    print(f"  {lifted} of the {len(table['objects'])} objects met were lifted at least once")
-    for cause, count in table["failures"].items():
-        print(f"  {count:4d} failed: {cause}")
-    for name, cause in table["never_lifted"].items():
-        print(f"  never lifted: {name} ({cause})")

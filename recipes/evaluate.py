@@ -7,6 +7,8 @@ import time
 
 import common
 import hydra
+import policies
+import reports
 import settings
 from omegaconf import DictConfig
 
@@ -21,21 +23,25 @@ def evaluate(cfg: DictConfig) -> dict:
     if cfg.video.episodes:
         check_video_tools()
     common.count_points(cfg)
-    policy = common.make_policy(cfg, str(cfg.policy))
+    name = str(cfg.policy)
+    policy = policies.make_policy(cfg, name)
+    by = {"learner_steps": reports.learner_steps} if name == "takeover" else {}
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg, "test")
-        table = common.evaluate(cfg, pool, policy, str(cfg.policy))
+        table = common.evaluate(cfg, pool, policy, name, by=by)
     run_dir = settings.open_run(cfg, "evaluate")
     if cfg.video.episodes:
         common.record_videos(cfg, policy, run_dir / "videos")
-    common.print_comparison(cfg, {str(cfg.policy): table})
-    common.print_failures(table)
+    reports.print_comparison(cfg, {name: table})
+    reports.print_failures(table)
+    reports.print_learner_steps(table)
     print(f"Written to {run_dir}: summary.json{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,
-        "policy": str(cfg.policy),
+        "policy": name,
+        "learner": cfg.learner,
         "protocol": cfg.protocol,
-        "scenes": common.describe_scenes(cfg),
+        "scenes": reports.describe_scenes(cfg),
         "wall_seconds": time.monotonic() - started,
         "gradient_steps": 0,
     }

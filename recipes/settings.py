@@ -23,6 +23,9 @@ _PROTOCOLS = {
     "tabletop": {},
     "handover": {"target_motion": "handover"},
 }
+# What recipes/evaluate.py evaluates besides trained policies; the last two need a learner.
+POLICIES = ("expert", "random", "planning", "combined", "takeover")
+_RELAYS = ("combined", "takeover")
 # The tabletop protocol's fixed start, unless start=varied says otherwise.
 _TABLETOP = {"_target_": "torchgrasp.envs.TabletopStart", "spread": 0.0}
 _AT_LEAST = {
@@ -30,7 +33,7 @@ _AT_LEAST = {
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
-    "video.episodes": 0, "video.fps": 1,
+    "video.episodes": 0, "video.fps": 1, "planning.steps": 1,
 }  # fmt: skip
 
 
@@ -80,13 +83,13 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
         if any(name.startswith("env.start") for name in given):
             raise ConfigError("protocol=tabletop has a start of its own: add start=fixed or start=varied.")
         cfg.env.start = _TABLETOP
-    path = Path(str(OmegaConf.select(cfg, "policy")))
     check_values(cfg)
-    if path.exists():
+    option, path = _learned(cfg)
+    if path is not None:
         brought = load_weights(weights_file(path))[1]
         _check_targets(brought, list(cfg.trust))
         kept = {name: brought.get(name) for name in ("model", "camera", "overhead", "transforms")}
-        given = _given_values(f"policy={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
+        given = _given_values(f"{option}={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
         task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
         plain = {key: value for key, value in cfg.items() if key not in kept}
         cfg = _merge(plain, {**kept, "env": task}, given)
@@ -96,6 +99,28 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
     }
     own = {"episodes": cfg.episodes, "seed": cfg.seed}
     return _merge(cfg, {"evaluation": {**own, **chosen}})
+
+
+def _learned(cfg: DictConfig) -> tuple[str, Path | None]:
+    """The option that names what is trained, and its run directory or weights file; None without any."""
+    policy, learner = str(cfg.policy), cfg.learner
+    if policy in _RELAYS:
+        if learner is None:
+            raise ConfigError(
+                f"policy={policy} needs a learner: add learner=<run dir or weights file>, or random."
+            )
+        option, name, named = "learner", str(learner), ("random",)
+    elif learner is not None:
+        raise ConfigError(f"learner={learner} does not go with policy={policy}: give {' or '.join(_RELAYS)}.")
+    else:
+        option, name, named = "policy", policy, POLICIES
+    if name in named:
+        return option, None
+    if not Path(name).exists():
+        raise ConfigError(
+            f"{option}={name!r} is not there: give {', '.join(named)}, a run directory or a weights file."
+        )
+    return option, Path(name)
 
 
 def _given_names() -> list[str]:

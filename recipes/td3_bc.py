@@ -12,6 +12,8 @@ from pathlib import Path
 import collect
 import common
 import hydra
+import policies
+import reports
 import settings
 from learner import Learner
 from omegaconf import DictConfig, OmegaConf
@@ -122,19 +124,19 @@ def conclude(
     if "bc" in learner.results:
         tables["policy after imitation alone"] = learner.results["bc"]
     for name in cfg.evaluation.baselines:
-        tables[name] = common.evaluate(cfg, pool, common.make_policy(cfg, name), name)
+        tables[name] = common.evaluate(cfg, pool, policies.make_policy(cfg, name), name)
     logger.log(learner.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
     logger.close()
     summary = {
         **tables["policy"],
-        "scenes": common.describe_scenes(cfg),
+        "scenes": reports.describe_scenes(cfg),
         "comparison": tables,
         "demonstrations": learner.describe_demonstrations(),
         "wall_seconds": learner.wall_seconds,
         "env_steps": learner.env_steps,
         "gradient_steps": learner.gradient_steps,
     }
-    common.print_comparison(cfg, tables)
+    reports.print_comparison(cfg, tables)
     minutes = learner.wall_seconds / 60
     print(f"{minutes:.1f} minutes. In {run_dir}: summary.json, metrics.csv, weights.safetensors")
     return write_summary(run_dir, summary)

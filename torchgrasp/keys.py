@@ -21,7 +21,8 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles; *, 7 in joint spaces |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
 | GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
-| PLAN_STATUS | *, 1 int64 | whether the expert has a plan, or why not: `PlanStatus` by number |
+| PLAN_STATUS | *, 1 int64 | whether there is a plan, or why not: `PlanStatus` by number; -1: no planner |
+| TURN | *, 1 int64 | which policy of a `Relay` acted: 0 the first, 1 the second |
 | PERTURBED | *, 1 bool | a disturbance, not the policy, moved the arm at this step |
 | EPISODE_SUCCESS | *, 1 bool | the episode's final reward, on each of its steps |
 | GOAL_PREDICTION | *, 7 | written by actor or critic |
@@ -57,6 +58,7 @@ HAS_EXPERT = "has_expert"
 GOAL = "goal"
 HAS_GOAL = "has_goal"
 PLAN_STATUS = "plan_status"
+TURN = "turn"
 PERTURBED = "perturbed"
 EPISODE_SUCCESS = "episode_success"
 GOAL_PREDICTION = "goal_prediction"

@@ -17,6 +17,7 @@ from torchgrasp.planning.funnel_planner import FunnelPlanner
 from torchgrasp.planning.goals import pose_distances
 from torchgrasp.planning.law import Course, Law, PathFollower
 from torchgrasp.planning.plan import Plan, Planner, PlanStatus
+from torchgrasp.planning.states import STATE_KEYS, WorldStates
 from torchgrasp.planning.trajectory_planner import TrajectoryPlanner
 from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array
@@ -92,15 +93,7 @@ class ExpertPolicy(TensorDictModuleBase):
         self.law = law or own
         self.actions = action_space or EeDelta()
         self.loyalty = loyalty
-        self.in_keys = [
-            keys.T_BASE_EE,
-            keys.T_BASE_OBJECT,
-            keys.OBJECT_ID,
-            keys.WORLD,
-            keys.EPISODE,
-            keys.JOINTS,
-            keys.TIME_LEFT,
-        ]
+        self.in_keys = list(STATE_KEYS)
         labels = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL, keys.PLAN_STATUS]
         self.out_keys = [*labels, keys.ACTION] if execute else labels  # pyright: ignore
         self.execute = execute
@@ -115,51 +108,34 @@ class ExpertPolicy(TensorDictModuleBase):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the labels; every input is (*, ...) as the environment gives it."""
-        batch = tensordict.batch_size
-        n = batch.numel()
-        state = {
-            key: tensordict.get(key).reshape(n, *tensordict.get(key).shape[len(batch) :])
-            for key in self.in_keys
-        }
-        T_base_ee = state[keys.T_BASE_EE].double().cpu().numpy()
-        T_base_object = state[keys.T_BASE_OBJECT].double().cpu().numpy()
-        q = state[keys.JOINTS].double().cpu().numpy()[:, :7]
-        steps_left = np.maximum(np.rint(state[keys.TIME_LEFT].cpu().numpy()[:, 0] * self.horizon), 1.0)
-        identity = torch.cat((state[keys.OBJECT_ID], state[keys.EPISODE]), dim=-1).tolist()
-
-        worlds = state[keys.WORLD][:, 0].tolist()
+        states = WorldStates.read(tensordict, self.horizon)
+        T_base_ee, steps_left = states.T_base_ee, states.steps_left
         courses, self._reasons = [], []
-        for i, world in enumerate(worlds):
-            names = (world, tuple(identity[i]))
-            courses.append(self._pursue(*names, T_base_ee[i], T_base_object[i], q[i], int(steps_left[i])))
+        for row, world in enumerate(states.worlds):
+            courses.append(self._pursue(states, row))
             self._reasons.append(self._pursuits[world].plan.status)
         rows = [i for i, course in enumerate(courses) if course is not None]
-        target, goals, has_goal = T_base_ee.copy(), T_base_ee.copy(), np.zeros(n, dtype=bool)
+        target, goals = T_base_ee.copy(), T_base_ee.copy()
+        has_goal = np.zeros(len(courses), dtype=bool)
         if rows:
             held = [course for course in courses if course is not None]
             has_goal[rows] = True
             goals[rows] = [course.T_base_goal for course in held]
             target[rows] = self.law.steer(T_base_ee[rows], held, steps_left[rows], self.horizon)
-        action = self.actions.action_towards(q, T_base_ee, target)
+        action = self.actions.action_towards(states.q, T_base_ee, target)
         return self._write(tensordict, T_base_ee, action, goals, has_goal)
 
-    def _pursue(
-        self,
-        world: int,
-        episode: tuple[int, int],
-        T_base_ee: Array,
-        T_base_object: Array,
-        q: Array,
-        steps_left: int,
-    ) -> Course | None:
-        """What a world goes for, None where there is no grasp to be had."""
+    def _pursue(self, states: WorldStates, row: int) -> Course | None:
+        """What a row's world goes for, None where there is no grasp to be had."""
+        world, episode, steps_left = states.worlds[row], states.episodes[row], int(states.steps_left[row])
+        T_base_ee, T_base_object = states.T_base_ee[row], states.T_base_object[row]
         target, pursuit = self.objects[episode[0]], self._pursuits.get(world)
         if pursuit is not None and pursuit.goes_on(episode, T_base_object, steps_left):
             pursuit.steps_left = steps_left
             course = self._choose(pursuit, target, T_base_ee, T_base_object)
             if course is None or not self.law.is_lost(T_base_ee, course):
                 return course
-        plan = self.planner.plan(target, T_base_object, q, steps_left, self.horizon)
+        plan = self.planner.plan(target, T_base_object, states.q[row], steps_left, self.horizon)
         if not plan.ok and pursuit is not None and pursuit.plan.ok and pursuit.is_of(episode, steps_left):
             # Late in an episode there is often no new way: better the grasps known than none.
             pursuit.T_base_object, pursuit.steps_left = T_base_object, steps_left

@@ -12,6 +12,9 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.kinematics import Array
 from torchgrasp.sim.reach import ReachableGrasps
 
+# What PLAN_STATUS holds where the policy that acted has no planner.
+NO_PLANNER = -1
+
 
 class PlanStatus(Enum):
     """Why there is or is not a plan."""

@@ -33,13 +33,14 @@ def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[f
 
 
 class SuccessTable:
-    """Counts of episodes and successes by object.
+    """Counts of episodes and successes by object, or by any other name.
 
     >>> table = SuccessTable()
     >>> table.add("mug", True)
-    >>> table.add("mug", False)
-    >>> table.objects()
-    {'mug': {'episodes': 2, 'successes': 1}}
+    >>> table.add("mug", False, cause="slipped")
+    >>> row = table.rows()["mug"]
+    >>> row["episodes"], row["successes"], row["success_rate"], row["failures"]
+    (2, 1, 0.5, {'slipped': 1})
     """
 
     def __init__(self) -> None:
@@ -73,10 +74,19 @@ class SuccessTable:
         """Wilson's interval of the success rate."""
         return wilson_interval(self.successes, self.episodes, confidence)
 
-    def objects(self) -> dict[str, dict[str, int]]:
-        """{name: {"episodes", "successes"}}, sorted by name."""
+    def rows(self) -> dict[str, dict]:
+        """{name: row}, sorted by name.
+
+        A row has `episodes`, `successes`, `success_rate`, `success_ci95` and `failures`, episodes by cause.
+        """
         return {
-            name: {"episodes": episodes, "successes": successes}
+            name: {
+                "episodes": episodes,
+                "successes": successes,
+                "success_rate": successes / episodes,
+                "success_ci95": list(wilson_interval(successes, episodes)),
+                "failures": dict(self._causes.get(name, Counter()).most_common()),
+            }
             for name, (episodes, successes) in sorted(self._counts.items())
         }
 
@@ -96,7 +106,7 @@ class SuccessTable:
             "success_rate": self.success_rate,
             "success_ci95": list(self.confidence_interval()),
             "episodes": self.episodes,
-            "objects": self.objects(),
+            "objects": self.rows(),
             "failures": self.failures(),
             "never_lifted": self.never_lifted(),
         }
