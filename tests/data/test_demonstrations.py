@@ -52,7 +52,8 @@ def test_card_counts_what_the_shards_hold(tmp_path):
     card = append(tmp_path, 1)
     episodes = make_episodes(0) + make_episodes(1)
     successes = sum(int(e["next", "reward"][-1].item() > 0.5) for e in episodes)
-    assert card == json.loads((tmp_path / "card.json").read_text()) == open_demonstrations(tmp_path).card
+    told = json.loads((tmp_path / "card.json").read_text())
+    assert card == {name: told[name] for name in card} == open_demonstrations(tmp_path).card
     assert (card["episodes"], card["successes"], card["shards"]) == (len(episodes), successes, 2)
     assert sum(counts["episodes"] for counts in card["objects"].values()) == len(episodes)
     on_disk = sum(f.stat().st_size for f in tmp_path.rglob("rows/**/*") if f.is_file())
