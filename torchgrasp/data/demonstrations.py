@@ -28,6 +28,7 @@ from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage
 from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard
+from torchgrasp.data.storage import keep_batch
 from torchgrasp.errors import CheckpointError
 
 
@@ -99,6 +100,7 @@ class Demonstrations:
         storage = ShardStorage(tuple(self.iterate_rows()), next_keys=codec.observation_keys, count=count)
         return TensorDictReplayBuffer(
             storage=storage,
+            collate_fn=keep_batch,
             writer=ImmutableDatasetWriter(),
             transform=codec if transform is None else Compose(codec, transform),  # pyright: ignore
             batch_size=batch_size,

@@ -20,7 +20,8 @@ class ShardStorage(Storage):
 
     Its indices count transitions: rows that hold a last observation (stubs) have none, so that any
     of TorchRL's samplers can draw from it. `get` adds ("next", key) from the following row; on rows
-    that terminated, from the row itself, as MixtureStorage does.
+    that terminated, from the row itself, as MixtureStorage does. A buffer over it needs
+    ``collate_fn=keep_batch``; `Demonstrations.buffer` makes one.
 
     Args:
         shards: rows (R_k) of each shard, as `Demonstrations.shards` holds them, none empty.
@@ -41,7 +42,8 @@ class ShardStorage(Storage):
         ends = [(rows["terminated"] | rows[STUB]).squeeze(-1) for rows in self._shards]
         self._following = self._rows + (~torch.cat(ends)[self._rows]).long()
         self._bounds = torch.tensor([len(rows) for rows in self._shards]).cumsum(0)
-        self._next_keys = tuple(next_keys)
+        self._next_keys, self._names = tuple(next_keys), list(self._shards[0].keys(True, True))
+        self._columns: dict[NestedKey, list[Tensor]] = {}
 
     def __len__(self) -> int:
         return self._rows.numel()
@@ -62,16 +64,25 @@ class ShardStorage(Storage):
         owner = torch.bucketize(rows, self._bounds, right=True)
         numbers, counts = (each.tolist() for each in owner.unique_consecutive(return_counts=True))
         starts = [0, *self._bounds.tolist()]
-        parts: list[tuple[Any, Tensor]] = [
-            (self._shards[number], part - starts[number])
-            for number, part in zip(numbers, rows.split(counts), strict=True)
-        ]
-        names = list(self._shards[0].keys(True, True)) if names is None else names
-        columns = {
-            name: torch.cat([shard.get(name).index_select(0, part) for shard, part in parts])[back]
-            for name in names
-        }
-        return TensorDict(columns, rows.shape)
+        parts = [part - starts[number] for number, part in zip(numbers, rows.split(counts), strict=True)]
+        batch = TensorDict({}, rows.shape)
+        for name in self._names if names is None else names:
+            columns = self._get_columns(name)
+            picked = [
+                columns[number].index_select(0, part) for number, part in zip(numbers, parts, strict=True)
+            ]
+            batch[name] = torch.cat(picked)[back]
+        return batch
+
+    def _get_columns(self, name: NestedKey) -> list[Tensor]:
+        """The column of each shard, as plain views of the mapped files, which torch reads faster."""
+        if name not in self._columns:
+            self._columns[name] = [rows.get(name).as_subclass(Tensor) for rows in self._shards]
+        return self._columns[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Mapped files are handed over by name, plain views of them would be as copies.
+        return {**super().__getstate__(), "_columns": {}}
 
     def set(self, cursor: Any, data: Any, *, set_cursor: bool = True) -> None:
         """Refused: the files are shared and guarded by checksums."""
