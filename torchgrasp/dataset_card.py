@@ -31,6 +31,7 @@ def run(args: argparse.Namespace) -> int:
         import_minari(args.source, args.folder)
     if args.drop_damaged:
         print(f"{drop_damaged_shards(args.folder)} shards deleted: collect again to make them anew.")
+        return 0
     demonstrations = open_demonstrations(args.folder)
     print_card(demonstrations.card)
     if args.export:

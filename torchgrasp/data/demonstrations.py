@@ -27,7 +27,7 @@ from torchgrasp.data.card import add_to_card, empty_card, read_card, write_card
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage
-from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard
+from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard, shard_name
 from torchgrasp.data.storage import keep_batch
 from torchgrasp.errors import CheckpointError
 
@@ -148,18 +148,20 @@ def drop_damaged_shards(path: str | Path) -> int:
 
     Collecting goes on from there, and makes the same shards again.
     """
-    path, metadata = Path(path), []
-    told, folders = read_card(path), sorted(Path(path).glob("shard_[0-9]*"))
-    try:
-        for number, folder in enumerate(find_shards(path)):
-            metadata.append(read_shard(folder, verify=True))
-            assert folder == folders[number]
-    except CheckpointError:
-        pass
-    for folder in reversed(folders[len(metadata) :]):
+    path = Path(path)
+    told, folders = read_card(path), sorted(path.glob("shard_[0-9]*"))
+    whole = []
+    for number, folder in enumerate(folders):
+        if folder.name != shard_name(number):
+            break
+        try:
+            whole.append(read_shard(folder, verify=True))
+        except CheckpointError:
+            break
+    for folder in reversed(folders[len(whole) :]):
         shutil.rmtree(folder)
-    write_card(path, _summarise(told, metadata))
-    return len(folders) - len(metadata)
+    write_card(path, _summarise(told, whole))
+    return len(folders) - len(whole)
 
 
 def _summarise(card: dict[str, Any], shards: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -174,7 +176,7 @@ def _check_card(path: Path, told: dict[str, Any], shards: Sequence[dict[str, Any
     number = told["shards"]
     if number > len(shards):
         raise CheckpointError(
-            f"{path} lacks shard_{len(shards):05d}, but card.json tells of {number}: restore it from a copy."
+            f"{path} lacks {shard_name(len(shards))}, card.json tells of {number}: restore it from a copy."
         )
     if number < len(shards) - 1 or told != _summarise(told, shards[:number]):
         raise CheckpointError(

@@ -25,7 +25,7 @@ def make_space(rows: TensorDictBase, names: Sequence[NestedKey]) -> Any:
 
     space: dict[str, Any] = {}
     for name in names:
-        value = rows[name].numpy()
+        value: Any = rows[name].numpy()
         space[join_key(name)] = spaces.Box(
             *_find_bounds(value.dtype), shape=value.shape[1:], dtype=value.dtype
         )

@@ -100,7 +100,7 @@ def append_rows(
         EpisodeRecord(name, int(seed), len(rows), bool(rows[keys.EPISODE_SUCCESS][-1]))
         for rows, name, seed in zip(episodes, objects, seeds, strict=True)
     ]
-    with replace_folder(path / f"shard_{index:05d}") as folder:
+    with replace_folder(path / shard_name(index)) as folder:
         sums = {"attempts": attempts, **_write_rows(folder, episodes)}
         files = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
         shard = {
@@ -153,12 +153,24 @@ def count_shards(path: str | Path) -> int:
     return len(find_shards(Path(path)))
 
 
+def shard_name(number: int) -> str:
+    """The folder's name of a shard."""
+    return f"shard_{number:05d}"
+
+
+def _describe_remedy(path: Path) -> str:
+    return (
+        "restore it from a copy, or delete all from there on by "
+        f"`python -m torchgrasp dataset {path} --drop-damaged` and collect again"
+    )
+
+
 def find_shards(path: Path) -> list[Path]:
     """The folders of the shards below `path` in order; CheckpointError names one that is missing."""
     folders = sorted(path.glob("shard_[0-9]*"))
     for number, folder in enumerate(folders):
-        if folder.name != f"shard_{number:05d}":
-            raise CheckpointError(f"{path} lacks shard_{number:05d}: restore it, or delete the later shards.")
+        if folder.name != shard_name(number):
+            raise CheckpointError(f"{path} lacks {shard_name(number)}: {_describe_remedy(path)}.")
     return folders
 
 
@@ -167,7 +179,7 @@ def read_shard(folder: Path, *, verify: bool) -> dict[str, Any]:
 
     With `verify` every byte is read; without it, sizes are compared.
     """
-    remedy = "restore it from a copy, or collect the whole folder again"
+    remedy = _describe_remedy(folder.parent)
     shard = read_sealed_json(folder / _SHARD, remedy)
     if shard.get("format") != FORMAT:
         raise CheckpointError(
