@@ -1,74 +1,123 @@
-"""Demonstrations: the expert grasps, disturbed now and then, until there are enough successful steps.
+"""Demonstrations: episodes of one kind, until enough of the steps are there that the kind is for.
 
 python recipes/collect.py demonstrations.steps=50000 demonstrations.path=demos
+python recipes/collect.py demonstrations.kind=failed demonstrations.path=failures
+python recipes/collect.py demonstrations.kind=learner demonstrations.policy=<run dir>
 """
 
 from __future__ import annotations
 
-import json
+import time
+from collections.abc import Generator
 from itertools import count
 from pathlib import Path
 
 import common
 import hydra
+import policies
 import settings
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
+from origin import DISTURBANCE, SHARD_ROUNDS, SHARED, check_learner, check_origin, describe_origin
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.data import append_shard, count_shards, open_demonstrations
-from torchgrasp.data.files import write_json_atomically
+from torchgrasp.data import append_shard, begin_demonstrations, count_shards, open_demonstrations
+from torchgrasp.data.kinds import COUNTED, resolve_count
 from torchgrasp.errors import ConfigError
 from torchgrasp.training import EpisodePool, Progress, one_line_errors
+from torchgrasp.training.episodes import Episode
 
-# Rounds of all worlds in a file of demonstrations, which is written whole or not at all.
-_SHARD_ROUNDS = 4
-# Episodes without one success after which collecting would never end.
+# Episodes without one of the kind wanted after which collecting would never end.
 _HOPELESS = 200
 
 
 def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
-    """Add shards to `path` until its successful episodes have `demonstrations.steps` steps.
+    """Add shards to `path` until `demonstrations.steps` steps are there that count.
 
     Shard k holds the same episodes whenever it is collected, so a collection that was cut off goes on
     where its last whole shard ended.
 
     Returns:
-        The card of the demonstrations: objects, episodes, successes, bytes.
+        The card of the demonstrations.
     """
-    _check_origin(cfg, path)
-    done, card = count_shards(path), {}
+    demos, origin = cfg.demonstrations, describe_origin(cfg)
+    counted = COUNTED[resolve_count(demos.count, demos.kind)]
+    card = begin_demonstrations(path, kind=demos.kind, provenance=origin)
+    check_origin(origin, path, card)
+    done = count_shards(path)
     if done:
         card = open_demonstrations(path).card
-    wanted, have = cfg.demonstrations.steps, card.get("successful_steps", 0)
-    progress = Progress(wanted, initial=min(wanted, have), description="demonstrations", unit="step")
-    expert = common.make_expert(cfg, "train")
-    modules: list = [expert, instantiate(cfg.collector.disturb)]
-    policy = TensorDictSequential(*modules)
-    for shard in count(done):
-        if have >= wanted:
-            break
-        rounds = range(shard * _SHARD_ROUNDS, (shard + 1) * _SHARD_ROUNDS)
-        episodes = [episode for batch in pool.run("train", policy, rounds) for episode in batch]
+    progress = Progress(
+        demos.steps, initial=min(demos.steps, card[counted]), description=f"{demos.kind} steps", unit="step"
+    )
+    shards = _run_shards(cfg, pool, done)
+    while card[counted] < demos.steps:
+        before, started = card[counted], time.monotonic()
+        index, episodes = next(shards)
+        kept = [each for each in episodes if demos.kind != "failed" or not each.success]
         card = append_shard(
             path,
-            [episode.steps for episode in episodes],
-            objects=[episode.object_name for episode in episodes],
-            seeds=[cfg.seed] * len(episodes),
-            index=shard,
+            [each.steps for each in kept],
+            objects=[each.object_name for each in kept],
+            seeds=[cfg.seed] * len(kept),
+            index=index,
+            attempts=len(episodes),
+            wall_seconds=time.monotonic() - started,
         )
         progress.update(
-            min(wanted, card["successful_steps"]) - min(wanted, have),
-            success_rate=card["successes"] / card["episodes"],
+            min(demos.steps, card[counted]) - min(demos.steps, before),
+            success_rate=1.0 - _count_failures(card) / card["attempts"],
         )
-        have = card["successful_steps"]
-        if card["episodes"] >= _HOPELESS and not have:
-            raise ConfigError(
-                f"The expert lifted nothing in {card['episodes']} episodes (env.horizon={cfg.env.horizon}): "
-                "give it more steps, or objects that the hand can hold."
-            )
+        _check_hope(cfg, card, card[counted])
+    shards.close()
     progress.close()
     return card
+
+
+def _count_failures(card: dict) -> int:
+    """Failed episodes among all that were run; of the kind failed, they alone were kept."""
+    return card["episodes"] if card["kind"] == "failed" else card["episodes"] - card["successes"]
+
+
+def _run_shards(cfg: DictConfig, pool: EpisodePool, first: int) -> Generator[tuple[int, list[Episode]]]:
+    """Each shard's number and episodes from shard `first` on, enough shards at once for all workers."""
+    policy = make_collector(cfg)
+    at_once = max(1, -(-cfg.collector.num_workers // SHARD_ROUNDS))
+    for start in count(first, at_once):
+        numbers = range(start * SHARD_ROUNDS, (start + at_once) * SHARD_ROUNDS)
+        batches = pool.run("train", policy, numbers)
+        for index in range(start, start + at_once):
+            yield index, [episode for _ in range(SHARD_ROUNDS) for episode in next(batches)]
+
+
+def make_collector(cfg: DictConfig) -> TensorDictSequential:
+    """Who acts, and labels, in demonstrations of the kind configured."""
+    kind = cfg.demonstrations.kind
+    if kind == "learner":
+        check_learner(cfg)
+        learner = common.for_workers(policies.make_policy(cfg, str(cfg.demonstrations.policy)))
+        modules: list = [common.make_expert(cfg, "train", execute=False), learner]
+        if cfg.demonstrations.expert_start:
+            modules.append(instantiate(cfg.collector.expert_start))
+        return TensorDictSequential(*modules)
+    modules = [common.make_expert(cfg, "train")]
+    if kind in DISTURBANCE:
+        modules.append(instantiate(cfg.collector[DISTURBANCE[kind]]))
+    return TensorDictSequential(*modules)
+
+
+def _check_hope(cfg: DictConfig, card: dict, have: int) -> None:
+    if card["attempts"] < _HOPELESS or have:
+        return
+    if cfg.demonstrations.kind == "failed":
+        raise ConfigError(
+            f"The expert failed in none of {card['attempts']} episodes: disturb it more, by "
+            "collector.disturb_to_fail.probability or its translation and rotation."
+        )
+    raise ConfigError(
+        f"No step of {card['attempts']} episodes counts (env.horizon={cfg.env.horizon}): "
+        "give more steps to an episode, or objects that the hand can hold."
+    )
 
 
 def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> Path:
@@ -79,34 +128,9 @@ def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> Path:
     path = Path(cfg.demonstrations.path)
     if not count_shards(path):
         raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
-    _check_origin(cfg, path, ("transforms", "camera", "overhead", "horizon", "action_space"))
+    card = begin_demonstrations(path, kind=cfg.demonstrations.kind)
+    check_origin(describe_origin(cfg), path, card, SHARED)
     return path
-
-
-def _check_origin(cfg: DictConfig, path: Path, names: tuple[str, ...] = ()) -> None:
-    """Refuse demonstrations that another configuration made; `names` tells what must agree, () for all."""
-    plain = OmegaConf.to_container(cfg, resolve=True)
-    assert isinstance(plain, dict)
-    ours = {name: plain[name] for name in ("seed", "env", "objects", "camera", "overhead", "transforms")}
-    ours |= {
-        "horizon": cfg.env.horizon,
-        "action_space": cfg.env.action_space,
-        "disturb": plain["collector"]["disturb"],
-    }
-    file = path / "origin.json"
-    if not file.exists():
-        if count_shards(path):
-            raise ConfigError(f"{path} lacks {file.name}: its origin is unknown, give another folder.")
-        path.mkdir(parents=True, exist_ok=True)
-        write_json_atomically(file, ours)
-        return
-    theirs = json.loads(file.read_text())
-    differing = [name for name in (names or ours) if ours[name] != theirs.get(name)]
-    if differing:
-        raise ConfigError(
-            f"The demonstrations in {path} were collected with another {', '.join(differing)}: "
-            f"configure that as {file} tells, or give another folder."
-        )
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
@@ -120,7 +144,8 @@ def main(cfg: DictConfig) -> None:
         common.prepare_objects(cfg, "train")
         card = collect(cfg, pool, path)
     print(
-        f"{path}: {card['episodes']} episodes, {card['successes']} successful, {card['bytes'] / 1e6:.0f} MB"
+        f"{path}: {card['episodes']} {card['kind']} episodes of {card['attempts']} run, "
+        f"{card['successes']} successful, {card['steps']} steps, {card['bytes'] / 1e6:.0f} MB"
     )
 
 

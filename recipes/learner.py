@@ -11,9 +11,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
-from torchgrasp import keys
 from torchgrasp.data import MixtureReplayBuffer, estimate_bytes, open_demonstrations
 from torchgrasp.data.files import find_folder
+from torchgrasp.data.kinds import find_counted, resolve_count
 from torchgrasp.errors import CheckpointError
 from torchgrasp.objectives import PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import (
@@ -90,14 +90,16 @@ class Learner:
         )
 
     def load_demonstrations(self) -> None:
-        """Fill D_expert with the successful demonstrations."""
+        """Fill D_expert with the demonstrations' steps that count, by default the successful ones."""
+        count = resolve_count(self.cfg.demonstrations.count, self._demonstrations.card["kind"])
         for rows in self._demonstrations.iterate_rows():
-            self.buffer.extend_rows(rows[rows[keys.EPISODE_SUCCESS].squeeze(-1)], source="expert")
+            self.buffer.extend_rows(rows[find_counted(rows, count)], source="expert")
 
     def describe_demonstrations(self) -> dict:
-        """Episodes, successes, steps and bytes of the demonstrations."""
+        """Kind, episodes, successes, steps and bytes of the demonstrations."""
         card = self._demonstrations.card
-        return {name: card[name] for name in ("episodes", "successes", "successful_steps", "bytes")}
+        names = ("kind", "episodes", "successes", "steps", "successful_steps", "bytes")
+        return {name: card[name] for name in names}
 
     def begin_imitation(self) -> None:
         """Draw from D_expert alone."""

@@ -11,6 +11,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from torchgrasp.data.kinds import check_kind, resolve_count
 from torchgrasp.errors import CheckpointError, ConfigError, check_range
 from torchgrasp.training import load_weights, make_run_dir
 
@@ -50,6 +51,20 @@ def check_values(cfg: DictConfig) -> None:
     for name in OmegaConf.select(cfg, "evaluation.baselines") or ():
         if name not in ("expert", "random"):
             raise ConfigError(f"evaluation.baselines names {name!r}: choose from expert and random.")
+    if "demonstrations" in cfg:
+        _check_demonstrations(cfg.demonstrations)
+
+
+def _check_demonstrations(demonstrations: DictConfig) -> None:
+    kind, policy = demonstrations.kind, demonstrations.policy
+    resolve_count(demonstrations.count, check_kind(kind))
+    if (kind == "learner") != (policy is not None):
+        raise ConfigError(
+            f"demonstrations.kind={kind} with demonstrations.policy={policy}: the kind learner needs a "
+            "policy, a run directory or weights file; no other kind takes one."
+        )
+    if policy is not None and not weights_file(Path(str(policy))).is_file():
+        raise ConfigError(f"demonstrations.policy={policy}: give a run directory or a weights file.")
 
 
 def resumed(cfg: DictConfig) -> DictConfig:
@@ -86,8 +101,7 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
     check_values(cfg)
     option, path = _learned(cfg)
     if path is not None:
-        brought = load_weights(weights_file(path))[1]
-        _check_targets(brought, list(cfg.trust))
+        brought = brought_along(path, list(cfg.trust))
         kept = {name: brought.get(name) for name in ("model", "camera", "overhead", "transforms")}
         given = _given_values(f"{option}={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
         task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
@@ -140,6 +154,13 @@ def expand_video(arguments: list[str]) -> list[str]:
 def weights_file(path: Path) -> Path:
     """The weights of a run directory, or the file itself."""
     return path / "weights.safetensors" if path.is_dir() else path
+
+
+def brought_along(policy: Path, trusted: list[str]) -> dict[str, Any]:
+    """The configuration in a policy's weights, whose classes are of torchgrasp, torchrl or `trusted`."""
+    brought = load_weights(weights_file(policy))[1]
+    _check_targets(brought, trusted)
+    return brought
 
 
 def _merge(*parts: Any) -> DictConfig:

@@ -10,7 +10,11 @@ from torchgrasp.errors import TorchgraspError
 
 # A command's module has HELP, add_arguments(parser) and run(args) -> exit code. Only the chosen one is
 # imported: the doctor has to run where the others' packages are broken.
-COMMANDS = {"doctor": "torchgrasp.doctor", "objects": "torchgrasp.object_table"}
+COMMANDS = {
+    "doctor": "torchgrasp.doctor",
+    "objects": "torchgrasp.object_table",
+    "dataset": "torchgrasp.dataset_card",
+}
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from tensordict import TensorDict
 
+from torchgrasp.data import append_shard, split_episodes
 from torchgrasp.geometry import gripper_control_points
 
 
@@ -62,3 +63,14 @@ def make_steps(
     }
     following = {"points": make_cloud(state + 1), "time_left": state[..., None].float() + 1, **outcome}
     return TensorDict({**root, "next": following}, shape)
+
+
+def make_episodes(seed: int) -> list:
+    return split_episodes(make_rollout(4, 20, generator=torch.Generator().manual_seed(seed)))
+
+
+def append(path, index: int, episodes: list | None = None) -> dict:
+    """Shard `index` of the episodes given, or of those with the index as their seed."""
+    episodes = episodes or make_episodes(index)
+    names = [("mug", "bowl")[i % 2] for i in range(len(episodes))]
+    return append_shard(path, episodes, objects=names, seeds=range(len(episodes)), index=index)

@@ -10,26 +10,16 @@ from pathlib import Path
 
 import pytest
 import torch
-from rollouts import make_rollout
+from rollouts import append, make_episodes
 
 from torchgrasp.data import (
     MixtureReplayBuffer,
     append_shard,
+    begin_demonstrations,
     count_shards,
     open_demonstrations,
-    split_episodes,
 )
-from torchgrasp.errors import CheckpointError, ConfigError
-
-
-def make_episodes(seed):
-    return split_episodes(make_rollout(4, 20, generator=torch.Generator().manual_seed(seed)))
-
-
-def append(path, index, episodes=None):
-    episodes = episodes or make_episodes(index)
-    names = [("mug", "bowl")[i % 2] for i in range(len(episodes))]
-    return append_shard(path, episodes, objects=names, seeds=range(len(episodes)), index=index)
+from torchgrasp.errors import ConfigError
 
 
 def test_episodes_come_back_as_they_were(tmp_path):
@@ -52,7 +42,8 @@ def test_card_counts_what_the_shards_hold(tmp_path):
     card = append(tmp_path, 1)
     episodes = make_episodes(0) + make_episodes(1)
     successes = sum(int(e["next", "reward"][-1].item() > 0.5) for e in episodes)
-    assert card == json.loads((tmp_path / "card.json").read_text()) == open_demonstrations(tmp_path).card
+    told = json.loads((tmp_path / "card.json").read_text())
+    assert card == {name: told[name] for name in card} == open_demonstrations(tmp_path).card
     assert (card["episodes"], card["successes"], card["shards"]) == (len(episodes), successes, 2)
     assert sum(counts["episodes"] for counts in card["objects"].values()) == len(episodes)
     on_disk = sum(f.stat().st_size for f in tmp_path.rglob("rows/**/*") if f.is_file())
@@ -89,8 +80,9 @@ def test_a_killed_collection_loses_and_doubles_nothing(tmp_path):
     script = f"""
         import sys
         sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import test_demonstrations as t
-        for index in range(t.count_shards({str(path)!r}), 1000):
+        import rollouts as t
+        from torchgrasp.data import count_shards
+        for index in range(count_shards({str(path)!r}), 1000):
             t.append({str(path)!r}, index)
     """
     child = subprocess.Popen([sys.executable, "-W", "ignore", "-c", textwrap.dedent(script)])
@@ -123,23 +115,48 @@ def test_parts_of_episodes_are_refused(tmp_path):
         append(tmp_path, 0, [make_episodes(0)[0][:-1]])
 
 
-def test_damage_is_found_on_opening_and_named(tmp_path):
-    append(tmp_path, 0)
+def test_card_tells_what_was_run_and_where_it_comes_from(tmp_path):
+    begin_demonstrations(tmp_path, kind="failed", provenance={"seed": 3})
+    episodes = [e for e in make_episodes(0) if e["next", "reward"][-1] < 0.5]
+    card = append_shard(
+        tmp_path,
+        episodes,
+        objects=["mug"] * len(episodes),
+        seeds=[3] * len(episodes),
+        index=0,
+        attempts=20,
+        wall_seconds=1.5,
+    )
+    steps = sum(map(len, episodes))
+    assert (card["kind"], card["provenance"], card["seeds"]) == ("failed", {"seed": 3}, [3])
+    assert (card["attempts"], card["episodes"], card["successes"]) == (20, len(episodes), 0)
+    assert (card["steps"], card["failed_steps"], card["successful_steps"]) == (steps, steps, 0)
+    assert card["perturbed_steps"] == sum(int(e["perturbed"].sum()) for e in episodes)
+    assert card["labelled_steps"] == sum(int(e["has_expert"].sum()) for e in episodes)
+    assert card["wall_seconds"] == 1.5 and card["bytes_per_step"] == round(card["bytes"] / steps, 1)
+    assert card["versions"]["torch"] == [torch.__version__]
+
+
+def test_empty_shards_are_shards(tmp_path):
+    begin_demonstrations(tmp_path, kind="failed")
+    nothing = append_shard(tmp_path, [], objects=[], seeds=[], index=0, attempts=8)
+    assert (nothing["attempts"], nothing["episodes"], nothing["success_rate"]) == (8, 0, 0.0)
     append(tmp_path, 1)
-    points = tmp_path / "shard_00001" / "rows" / "points.memmap"
-    content = points.read_bytes()
-    points.write_bytes(content[:-10])
-    with pytest.raises(CheckpointError, match=r"points.memmap has \d+ bytes instead of"):
-        open_demonstrations(tmp_path)
-    points.unlink()
-    with pytest.raises(CheckpointError, match=r"points\.memmap is missing"):
-        open_demonstrations(tmp_path)
-    points.write_bytes(content)
-    (tmp_path / "shard_00000" / "shard.json").write_text("{")
-    with pytest.raises(CheckpointError, match=r"shard\.json"):
-        open_demonstrations(tmp_path)
-    shutil.rmtree(tmp_path / "shard_00000")
-    with pytest.raises(CheckpointError, match="lacks shard_00000"):
-        open_demonstrations(tmp_path)
-    with pytest.raises(CheckpointError, match="no demonstrations"):
-        open_demonstrations(tmp_path / "nowhere")
+    card = append_shard(tmp_path, [], objects=[], seeds=[], index=2, attempts=8)
+    demonstrations = open_demonstrations(tmp_path)
+    assert demonstrations.num_shards == 3 and demonstrations.card == card
+    assert len(list(demonstrations.iterate_episodes())) == len(make_episodes(1))
+    assert len(list(demonstrations.iterate_rows())) == 1
+
+
+def test_one_folder_holds_one_kind(tmp_path):
+    begin_demonstrations(tmp_path / "demos", kind="expert", provenance={"seed": 1})
+    again = begin_demonstrations(tmp_path / "demos", kind="expert", provenance={"seed": 2})
+    assert again["provenance"] == {"seed": 1}
+    with pytest.raises(ConfigError, match="kind expert, not learner"):
+        begin_demonstrations(tmp_path / "demos", kind="learner")
+    with pytest.raises(ConfigError, match=r"'best'.*expert, perturbed, failed, learner"):
+        begin_demonstrations(tmp_path / "others", kind="best")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="is a file"):
+        begin_demonstrations(tmp_path / "file")

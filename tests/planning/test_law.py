@@ -11,6 +11,7 @@ from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import (
     ExpertPolicy,
     Funnel,
+    FunnelPlanner,
     PathFollower,
     StraightPlanner,
     TrajectoryPlanner,
@@ -118,3 +119,22 @@ def test_a_path_ends_where_its_last_pose_is():
     )
     assert len(plan.q) < HORIZON
     assert forward_kinematics(plan.q[-1:])[0] == pytest.approx(plan.T_base_goal, abs=5e-3)
+
+
+def test_a_path_cannot_be_followed_where_the_planner_has_none():
+    with pytest.raises(ConfigError, match="prove=True"):
+        ExpertPolicy(OBJECTS, horizon=HORIZON, planner=FunnelPlanner(prove=False), law=PathFollower())
+
+
+def test_labels_stay_inside_the_bounds_however_far_the_path_is():
+    env = make_env(2)
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=TrajectoryPlanner(), law=PathFollower())
+    state = expert(env.reset())
+    far = state.clone()
+    far["time_left"] = torch.full((2, 1), 1 / HORIZON)
+    away = action_to_pose(torch.tensor([0.0, 0.1, -0.2, 0.0, 0.0, 1.5]))
+    far["T_base_ee"] = far["T_base_ee"] @ away
+    labels = expert(far)
+    assert labels["has_expert"].all()
+    action = labels["expert_action"]
+    assert action[:, :3].norm(dim=-1).max() <= 0.0551 and action[:, 3:].abs().max() <= 0.46

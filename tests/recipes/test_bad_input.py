@@ -6,6 +6,25 @@ import pytest
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
+        (["demonstrations.kind=best"], "one of expert, perturbed, failed, learner"),
+        (["demonstrations.count=none"], "one of all, successful, failed"),
+        (["demonstrations.kind=failed", "demonstrations.count=successful"], "keeps nothing"),
+        (["demonstrations.kind=learner"], "needs a policy"),
+        (["demonstrations.kind=learner", "demonstrations.policy=no/such/run"], "no/such/run"),
+        (["demonstrations.policy=some/run"], "no other kind takes one"),
+        (["demonstrations.path=README.md"], "README.md is a file"),
+    ],
+)
+def test_impossible_demonstrations(run_recipe, overrides, told):
+    code, _, err = run_recipe("collect", "experiment=smoke", *overrides)
+    assert code == 1, err
+    assert told in err and "Traceback" not in err
+    assert sum(line.startswith("error:") for line in err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
         (["env.horizon=0"], "env.horizon=0"),
         (["transforms.aggregate.alpha=2"], "alpha=2"),
         (["objects=folder", "objects.path=no/such/folder"], "no/such/folder"),

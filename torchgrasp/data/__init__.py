@@ -1,15 +1,19 @@
 """Transitions and demonstrations: stored compactly, mixed in exact shares, saved without pickle."""
 
 from torchgrasp.data.buffer import MixtureReplayBuffer as MixtureReplayBuffer
+from torchgrasp.data.card import begin_demonstrations as begin_demonstrations
 from torchgrasp.data.compact import CompactTransitions as CompactTransitions
 from torchgrasp.data.demonstrations import Demonstrations as Demonstrations
-from torchgrasp.data.demonstrations import append_shard as append_shard
-from torchgrasp.data.demonstrations import count_shards as count_shards
+from torchgrasp.data.demonstrations import drop_damaged_shards as drop_damaged_shards
 from torchgrasp.data.demonstrations import open_demonstrations as open_demonstrations
 from torchgrasp.data.episodes import label_episode_success as label_episode_success
 from torchgrasp.data.episodes import split_episodes as split_episodes
+from torchgrasp.data.kinds import find_counted as find_counted
 from torchgrasp.data.memory import estimate_bytes as estimate_bytes
 from torchgrasp.data.sampler import MixtureSampler as MixtureSampler
+from torchgrasp.data.shard_storage import ShardStorage as ShardStorage
+from torchgrasp.data.shards import append_shard as append_shard
+from torchgrasp.data.shards import count_shards as count_shards
 from torchgrasp.data.shares import anneal_shares as anneal_shares
 from torchgrasp.data.shares import split_batch as split_batch
 from torchgrasp.data.storage import MixtureStorage as MixtureStorage

@@ -16,7 +16,7 @@ from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.memory import check_space, estimate_bytes
 from torchgrasp.data.sampler import SOURCE, MixtureSampler
 from torchgrasp.data.shares import check_shares
-from torchgrasp.data.storage import MixtureStorage
+from torchgrasp.data.storage import MixtureStorage, keep_batch
 from torchgrasp.data.writer import MixtureWriter
 from torchgrasp.errors import ConfigError
 
@@ -77,7 +77,7 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
             storage=MixtureStorage(capacities, folder=folder, next_keys=codec.observation_keys),
             sampler=MixtureSampler({name: shares[name] for name in capacities}),
             writer=MixtureWriter(),
-            collate_fn=_identity,
+            collate_fn=keep_batch,
             transform=Compose(*(t for t in (codec, transform) if t is not None)),  # pyright: ignore
             batch_size=batch_size,
             prefetch=prefetch,
@@ -123,10 +123,6 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
     def num_rows(self) -> dict[str, int]:
         """Transitions that can be drawn, by source."""
         return self._mixture.num_rows()
-
-
-def _identity(batch: TensorDictBase) -> TensorDictBase:
-    return batch
 
 
 def _check_sources(capacities: Mapping[str, int], shares: Mapping[str, float]) -> None:

@@ -53,7 +53,7 @@ class CompactTransitions(Transform):
         self._points_key = points_key
         self.observation_keys: tuple[NestedKey, ...] = (points_key, *state_keys)
         self._extra_keys = tuple(extra_keys)
-        self._gripper_points = gripper_points
+        self.gripper_points = gripper_points
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self.encode(tensordict)
@@ -84,7 +84,7 @@ class CompactTransitions(Transform):
     def _encode(self, key: NestedKey, values: Tensor, step: Tensor) -> Tensor:
         if key != self._points_key:
             return values[step]
-        if not self._gripper_points:
+        if not self.gripper_points:
             return values[step].half()
         self._check_points(values, step)
         return values[:, :-_NUM_GRIPPER_POINTS, :3][step].half()
@@ -102,10 +102,8 @@ class CompactTransitions(Transform):
     def _labels(self, steps: TensorDictBase) -> dict[NestedKey, Tensor]:
         shape = steps.shape
         labels: dict[NestedKey, Tensor] = {keys.ACTION: steps[keys.ACTION]}
-        labels[keys.EXPERT_ACTION] = _get_or(steps, keys.EXPERT_ACTION, torch.zeros(*shape, ACTION_SIZE))
-        labels[keys.GOAL] = _get_or(steps, keys.GOAL, torch.tensor(_NO_GOAL).expand(*shape, GOAL_SIZE))
-        for key in _FLAGS:
-            labels[key] = _get_or(steps, key, torch.zeros(*shape, 1, dtype=torch.bool))
+        for key, default in default_labels().items():
+            labels[key] = _get_or(steps, key, default.expand(*shape, *default.shape))
         for key in _OUTCOMES:
             labels[key] = steps["next", key]
         if steps.get(keys.EPISODE_SUCCESS, None) is None:
@@ -127,7 +125,7 @@ class CompactTransitions(Transform):
         return batch.set("next", following)
 
     def _decode(self, points: Tensor) -> Tensor:
-        if not self._gripper_points:
+        if not self.gripper_points:
             return points.float()
         *batch, num_points, _ = points.shape
         cloud = torch.zeros(*batch, num_points + _NUM_GRIPPER_POINTS, 4, device=points.device)
@@ -135,6 +133,13 @@ class CompactTransitions(Transform):
         cloud[..., num_points:, :3] = gripper_control_points(device=points.device)
         cloud[..., num_points:, 3] = 1.0
         return cloud
+
+
+def default_labels() -> dict[NestedKey, Tensor]:
+    """Each label of a row, of its shape and type, as it is stored where the data lack it."""
+    labels: dict[NestedKey, Tensor] = {keys.EXPERT_ACTION: torch.zeros(ACTION_SIZE)}
+    labels[keys.GOAL] = torch.tensor(_NO_GOAL)
+    return labels | {key: torch.zeros(1, dtype=torch.bool) for key in _FLAGS}
 
 
 def _get_or(steps: TensorDictBase, key: NestedKey, default: Tensor) -> Tensor:

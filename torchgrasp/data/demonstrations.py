@@ -1,46 +1,35 @@
 """Demonstrations on disk: shards of whole episodes, memory-mapped, with a card that tells what they are.
 
-    <path>/card.json                   what all shards hold together
-    <path>/shard_00000/shard.json      its episodes: object, seed, rows, success; its files and their bytes
+    <path>/card.json                   what all shards hold together, their kind, what made them
+    <path>/shard_00000/shard.json      its episodes: object, seed, rows, success; its files with checksums
     <path>/shard_00000/rows/...        rows of CompactTransitions, a folder of TensorDict.memmap
 
 A shard appears under its name once it is complete, so that a collection that was killed goes on
-after the last one: nothing is lost or doubled if shard k is always collected from the same seed.
+after the last one: nothing is lost or doubled if shard k always holds the same episodes. Every byte
+is guarded by a CRC-32.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
+from torchrl.data import TensorDictReplayBuffer
+from torchrl.data.replay_buffers.writers import ImmutableDatasetWriter
+from torchrl.envs.transforms import Compose, Transform
 
-import torchgrasp
-from torchgrasp import keys
+from torchgrasp.data.card import add_to_card, empty_card, read_card, write_card
 from torchgrasp.data.compact import CompactTransitions
-from torchgrasp.data.files import replace_folder, write_json_atomically
-from torchgrasp.data.sampler import SOURCE, STUB
-from torchgrasp.errors import CheckpointError, ConfigError
-
-_FORMAT = 1
-_CARD, _SHARD, _ROWS = "card.json", "shard.json", "rows"
-
-
-@dataclass(frozen=True)
-class EpisodeRecord:
-    """One demonstration: what was grasped, the seed it was collected from, its rows and its outcome.
-
-    `rows` is the number of its steps, and one more if the episode was truncated: its last observation.
-    """
-
-    object: str
-    seed: int
-    rows: int
-    success: bool
+from torchgrasp.data.sampler import STUB
+from torchgrasp.data.shard_storage import ShardStorage
+from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard, shard_name
+from torchgrasp.data.storage import keep_batch
+from torchgrasp.errors import CheckpointError
 
 
 @dataclass(frozen=True)
@@ -70,17 +59,54 @@ class Demonstrations:
         return sum(map(len, self.records))
 
     def iterate_rows(self) -> Iterator[TensorDictBase]:
-        """Rows (R) shard by shard, for `MixtureReplayBuffer.extend_rows`."""
-        yield from self.shards
+        """Rows (R) shard by shard, for `MixtureReplayBuffer.extend_rows`; empty shards are left out."""
+        yield from (rows for rows in self.shards if len(rows))
+
+    def iterate_episode_rows(self) -> Iterator[tuple[EpisodeRecord, TensorDictBase]]:
+        """Each episode's record and rows (R_i), encoded, in the order in which they were appended."""
+        for rows, records in zip(self.shards, self.records, strict=True):
+            start = 0
+            for record in records:
+                yield record, rows[start : start + record.rows]
+                start += record.rows
 
     def iterate_episodes(self, codec: CompactTransitions | None = None) -> Iterator[TensorDictBase]:
         """Episodes (T), decoded, with ("next", ...), in the order in which they were appended."""
         codec = codec or CompactTransitions()
-        for rows, records in zip(self.shards, self.records, strict=True):
-            start = 0
-            for record in records:
-                yield decode_episode(rows[start : start + record.rows], codec)
-                start += record.rows
+        for _, rows in self.iterate_episode_rows():
+            yield decode_episode(rows, codec)
+
+    def buffer(
+        self,
+        *,
+        batch_size: int,
+        count: str = "all",
+        codec: CompactTransitions | None = None,
+        transform: Transform | None = None,
+        seed: int = 0,
+        prefetch: int | None = None,
+    ) -> TensorDictReplayBuffer:
+        """A read-only TorchRL buffer that draws transitions (B) from the files, which it does not copy.
+
+        Args:
+            batch_size: rows of a batch.
+            count: which episodes are drawn from: all, successful or failed.
+            codec: what the rows were encoded with; CompactTransitions() if None.
+            transform: applied to sampled transitions, after decoding.
+            seed: of the draws.
+            prefetch: batches that a background thread draws ahead.
+        """
+        codec = codec or CompactTransitions()
+        storage = ShardStorage(tuple(self.iterate_rows()), next_keys=codec.observation_keys, count=count)
+        return TensorDictReplayBuffer(
+            storage=storage,
+            collate_fn=keep_batch,
+            writer=ImmutableDatasetWriter(),
+            transform=codec if transform is None else Compose(codec, transform),  # pyright: ignore
+            batch_size=batch_size,
+            prefetch=prefetch,
+            generator=torch.Generator().manual_seed(seed),
+        )
 
 
 def decode_episode(rows: TensorDictBase, codec: CompactTransitions) -> TensorDictBase:
@@ -92,145 +118,67 @@ def decode_episode(rows: TensorDictBase, codec: CompactTransitions) -> TensorDic
     return codec.decode(steps[~rows[STUB].squeeze(-1)])
 
 
-def append_shard(
-    path: str | Path,
-    episodes: Sequence[TensorDictBase],
-    *,
-    objects: Sequence[str],
-    seeds: Sequence[int],
-    index: int,
-    codec: CompactTransitions | None = None,
-) -> dict[str, Any]:
-    """Add complete `episodes` (T_i), one object name and seed each, as shard `index`; returns the card.
+def open_demonstrations(path: str | Path, *, verify: bool = True) -> Demonstrations:
+    """Open the complete shards below `path`; CheckpointError names a file that is missing or was changed.
 
-    `index` must be the number of shards that are there, so that a shard collected twice, or one
-    left out, is refused.
+    Args:
+        path: the folder.
+        verify: reads every byte and compares checksums (1 GB takes about a second); without it, sizes
+            alone are compared.
     """
     path = Path(path)
-    folders = _find_shards(path)
-    if index != len(folders):
-        raise ConfigError(
-            f"{path} has {len(folders)} shards, shard {index} was given: append {len(folders)}."
-        )
-    if not episodes or not len(episodes) == len(objects) == len(seeds):
-        raise ConfigError(
-            f"{len(episodes)} episodes, {len(objects)} objects and {len(seeds)} seeds: give as many of each."
-        )
-    codec = codec or CompactTransitions()
-    encoded = [codec.encode(_check_episode(number, episode)) for number, episode in enumerate(episodes)]
-    records = [
-        {
-            "object": name,
-            "seed": int(seed),
-            "rows": len(rows),
-            "success": bool(rows[keys.EPISODE_SUCCESS][-1]),
-        }
-        for rows, name, seed in zip(encoded, objects, seeds, strict=True)
-    ]
-    rows = torch.cat(encoded).exclude(SOURCE)  # pyright: ignore
-    with replace_folder(path / f"shard_{index:05d}") as folder:
-        rows.memmap(str(folder / _ROWS))
-        files = {str(f.relative_to(folder)): f.stat().st_size for f in folder.rglob("*") if f.is_file()}
-        shard = {"format": _FORMAT, "episodes": records, "files": files, "versions": _versions()}
-        (folder / _SHARD).write_text(json.dumps(shard))
-    return _write_card(path)
-
-
-def _check_episode(number: int, episode: TensorDictBase) -> TensorDictBase:
-    done = episode["next", "done"].reshape(-1)
-    if episode.ndim != 1 or not bool(done[-1]) or bool(done[:-1].any()):
-        raise ConfigError(
-            f"Episode {number} of shape {tuple(episode.shape)} is no whole episode (T) that ends at its last "
-            "step: cut rollouts up with split_episodes."
-        )
-    return episode
-
-
-def open_demonstrations(path: str | Path) -> Demonstrations:
-    """Open the complete shards below `path`; CheckpointError names a file that is missing or cut short."""
-    path = Path(path)
-    folders = _find_shards(path)
-    if not folders:
+    if not path.is_dir():
         raise CheckpointError(f"There are no demonstrations at {path}: collect some, or name their folder.")
-    metadata = [_read_shard(folder) for folder in folders]
+    folders = find_shards(path)
+    told = read_card(path)
+    metadata = [read_shard(folder, verify=verify) for folder in folders]
+    _check_card(path, told, metadata)
+    if not folders:
+        raise CheckpointError(f"{path} holds no shard of demonstrations yet: go on collecting.")
     return Demonstrations(
         path,
-        tuple(_load_rows(folder) for folder in folders),
+        tuple(load_rows(folder) for folder in folders),
         tuple(tuple(EpisodeRecord(**record) for record in shard["episodes"]) for shard in metadata),
-        _summarise(metadata),
+        _summarise(told, metadata),
     )
 
 
-def count_shards(path: str | Path) -> int:
-    """Complete shards below `path`, 0 if there is nothing: the number of the next one to collect."""
-    return len(_find_shards(Path(path)))
+def drop_damaged_shards(path: str | Path) -> int:
+    """Delete the first damaged shard below `path` and those after it; returns how many.
 
-
-def _find_shards(path: Path) -> list[Path]:
-    folders = sorted(path.glob("shard_[0-9]*"))
+    Collecting goes on from there, and makes the same shards again.
+    """
+    path = Path(path)
+    told, folders = read_card(path), sorted(path.glob("shard_[0-9]*"))
+    whole = []
     for number, folder in enumerate(folders):
-        if folder.name != f"shard_{number:05d}":
-            raise CheckpointError(f"{path} lacks shard_{number:05d}: restore it, or delete the later shards.")
-    return folders
+        if folder.name != shard_name(number):
+            break
+        try:
+            whole.append(read_shard(folder, verify=True))
+        except CheckpointError:
+            break
+    for folder in reversed(folders[len(whole) :]):
+        shutil.rmtree(folder)
+    write_card(path, _summarise(told, whole))
+    return len(folders) - len(whole)
 
 
-def _read_shard(folder: Path) -> dict[str, Any]:
-    remedy = f"restore it from a copy, or delete {folder} and the shards after it and collect them again"
-    try:
-        shard = json.loads((folder / _SHARD).read_text())
-        files, _, version = dict(shard["files"]), list(shard["episodes"]), shard["format"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{folder / _SHARD} is missing or damaged ({error}): {remedy}.") from error
-    if version != _FORMAT:
+def _summarise(card: dict[str, Any], shards: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    summary = empty_card(card["kind"], card["provenance"])
+    for shard in shards:
+        summary = add_to_card(summary, shard)
+    return summary
+
+
+def _check_card(path: Path, told: dict[str, Any], shards: Sequence[dict[str, Any]]) -> None:
+    """Refuse a card that tells of other shards; the last may be missing in it, if the process was killed."""
+    number = told["shards"]
+    if number > len(shards):
         raise CheckpointError(
-            f"{folder} has format {version}, this version reads {_FORMAT}: update torchgrasp."
+            f"{path} lacks {shard_name(len(shards))}, card.json tells of {number}: restore it from a copy."
         )
-    for name, size in files.items():
-        file = folder / name
-        found = file.stat().st_size if file.is_file() else None
-        if found != size:
-            state = "is missing" if found is None else f"has {found} bytes instead of {size}"
-            raise CheckpointError(f"{file} {state}: {remedy}.")
-    return shard
-
-
-def _load_rows(folder: Path) -> TensorDictBase:
-    try:
-        return TensorDict.load_memmap(folder / _ROWS, allow_pickle=False)
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+    if number < len(shards) - 1 or told != _summarise(told, shards[:number]):
         raise CheckpointError(
-            f"{folder / _ROWS} cannot be read ({error}): restore it from a copy."
-        ) from error
-
-
-def _summarise(shards: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    objects: dict[str, dict[str, int]] = {}
-    records = [record for shard in shards for record in shard["episodes"]]
-    for record in records:
-        counts = objects.setdefault(record["object"], {"episodes": 0, "successes": 0})
-        counts["episodes"] += 1
-        counts["successes"] += int(record["success"])
-    successes = sum(counts["successes"] for counts in objects.values())
-    return {
-        "format": _FORMAT,
-        "shards": len(shards),
-        "episodes": len(records),
-        "successes": successes,
-        "success_rate": successes / max(len(records), 1),
-        "rows": sum(record["rows"] for record in records),
-        "successful_steps": sum(record["rows"] for record in records if record["success"]),
-        "bytes": sum(sum(shard["files"].values()) for shard in shards),
-        "objects": dict(sorted(objects.items())),
-        "seeds": sorted({record["seed"] for record in records}),
-        "versions": shards[-1]["versions"],
-    }
-
-
-def _write_card(path: Path) -> dict[str, Any]:
-    card = _summarise([_read_shard(folder) for folder in _find_shards(path)])
-    write_json_atomically(path / _CARD, card)
-    return card
-
-
-def _versions() -> dict[str, str]:
-    return {"torchgrasp": torchgrasp.__version__, "torch": torch.__version__}
+            f"{path / 'card.json'} tells of other shards than those beside it: restore both from one copy."
+        )

@@ -1,14 +1,20 @@
-"""Files and folders that are either whole or not there, whenever the process is killed."""
+"""Files and folders that are either whole or not there, whenever the process is killed, and checksums."""
 
 from __future__ import annotations
 
 import json
 import os
 import shutil
-from collections.abc import Iterator
+import zlib
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from torchgrasp.errors import CheckpointError
+
+# Ends the text of a sealed JSON file; its own checksum follows.
+_SEAL = ',\n  "crc32": '
 
 
 def write_text_atomically(path: str | Path, text: str) -> None:
@@ -24,6 +30,49 @@ def write_text_atomically(path: str | Path, text: str) -> None:
 def write_json_atomically(path: str | Path, value: Any) -> None:
     """Write `value` as indented JSON; see `write_text_atomically`."""
     write_text_atomically(path, json.dumps(value, indent=2) + "\n")
+
+
+def seal_json(value: Mapping[str, Any]) -> str:
+    """Indented JSON of a filled mapping, whose last entry `crc32` guards every byte before it."""
+    body = json.dumps(dict(value), indent=2).removesuffix("\n}")
+    return f"{body}{_SEAL}{zlib.crc32(body.encode())}\n}}\n"
+
+
+def read_sealed_json(path: str | Path, remedy: str) -> dict[str, Any]:
+    """Read what `seal_json` gave, without `crc32`; CheckpointError names a missing or changed file."""
+    try:
+        body, _, tail = Path(path).read_bytes().decode().rpartition(_SEAL)
+        if tail != f"{zlib.crc32(body.encode())}\n}}\n":
+            raise ValueError("its checksum differs")
+        return json.loads(body + "\n}")
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path} is missing: {remedy}.") from error
+    except (OSError, ValueError) as error:
+        raise CheckpointError(
+            f"{path} was changed or cut short after it was saved ({error}): {remedy}."
+        ) from error
+
+
+def describe_file(file: Path) -> dict[str, int]:
+    """Size in bytes and CRC-32 of a file, which is read in pieces."""
+    checksum = 0
+    with file.open("rb") as stream:
+        while block := stream.read(1 << 22):
+            checksum = zlib.crc32(block, checksum)
+    return {"bytes": file.stat().st_size, "crc32": checksum}
+
+
+def check_file(file: Path, expected: Mapping[str, int], remedy: str, *, checksum: bool = True) -> None:
+    """Raise CheckpointError unless `file` is as `describe_file` told; without `checksum`, of that size."""
+    try:
+        size = file.stat().st_size
+        same = size == expected["bytes"] and (not checksum or describe_file(file) == dict(expected))
+    except OSError as error:
+        raise CheckpointError(f"{file} is missing or unreadable ({error.strerror}): {remedy}.") from error
+    if size != expected["bytes"]:
+        raise CheckpointError(f"{file} has {size} bytes instead of {expected['bytes']}: {remedy}.")
+    if not same:
+        raise CheckpointError(f"{file} was changed after it was saved (its checksum differs): {remedy}.")
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
+from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import GOAL_SIZE, invert_pose, pose_to_goal
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.funnel_planner import FunnelPlanner
@@ -91,6 +92,8 @@ class ExpertPolicy(TensorDictModuleBase):
         self.planner = planner or TrajectoryPlanner()
         own = self.planner.funnel if isinstance(self.planner, FunnelPlanner) else PathFollower()
         self.law = law or own
+        if not self.law.any_goal and not self.planner.gives_path:
+            raise ConfigError("expert.law follows a path, but expert.planner has none: give prove=True.")
         self.actions = action_space or EeDelta()
         self.loyalty = loyalty
         self.in_keys = list(STATE_KEYS)

@@ -43,6 +43,11 @@ class FunnelPlanner(Planner):
         check_range("funnel_planner.num_rollouts", self.num_rollouts, 1, np.inf)
         check_range("funnel_planner.budget", self.budget, 0.0, np.inf)
 
+    @property
+    def gives_path(self) -> bool:
+        """See `Planner.gives_path`: a way that was not rolled out is not known."""
+        return self.prove
+
     def plan(
         self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
     ) -> Plan:

@@ -13,7 +13,6 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.planning.funnel_planner import FunnelPlanner
 from torchgrasp.planning.plan import Plan, Planner, PlanStatus
 from torchgrasp.planning.pose_noise import PoseNoise
 from torchgrasp.planning.states import STATE_KEYS, WorldStates
@@ -87,10 +86,8 @@ class OpenLoopPolicy(TensorDictModuleBase):
                 f"planning.steps={steps}: give a whole number from 1 to the episode's {horizon} steps "
                 "(env.horizon)."
             )
-        if isinstance(planner, FunnelPlanner) and not planner.prove:
-            raise ConfigError(
-                "planning.planner: a FunnelPlanner with prove=False has no path: give prove=True."
-            )
+        if planner is not None and not planner.gives_path:
+            raise ConfigError("planning.planner: this planner has no path to carry out: give prove=True.")
         self.in_keys = list(STATE_KEYS)
         self.out_keys = [keys.ACTION, keys.PLAN_STATUS]
         self.objects, self.horizon, self.steps = objects, horizon, steps

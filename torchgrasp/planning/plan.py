@@ -93,6 +93,11 @@ class Plan:
 class Planner(ABC):
     """Finds a way of the arm to a grasp of an object whose shape and pose are known (Sec. 3.3)."""
 
+    @property
+    def gives_path(self) -> bool:
+        """Whether its plans hold a path, and not goals alone."""
+        return True
+
     @abstractmethod
     def plan(
         self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import torchgrasp
-from torchgrasp.data.files import find_folder, replace_folder
+from torchgrasp.data.files import check_file, describe_file, find_folder, replace_folder
 from torchgrasp.errors import CheckpointError
 from torchgrasp.training.tree import pack_tree, unpack_tree
 
@@ -40,7 +39,7 @@ def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
             (folder / f"{name}.json").write_text(json.dumps(tree))
             if tensors:
                 save_file(_separate(tensors), folder / f"{name}.safetensors")
-        files = {file.name: _describe(file) for file in sorted(folder.iterdir())}
+        files = {file.name: describe_file(file) for file in sorted(folder.iterdir())}
         manifest = {"format": _FORMAT, "torchgrasp": torchgrasp.__version__, "entries": list(state)}
         (folder / _MANIFEST).write_text(json.dumps({**manifest, "files": files}, indent=2))
 
@@ -78,7 +77,7 @@ def _identify(folder: Path) -> tuple[int, int] | None:
 def _load_folder(folder: Path) -> dict[str, Any]:
     manifest = _read_manifest(folder)
     for name, expected in manifest["files"].items():
-        _check_file(folder / name, expected)
+        check_file(folder / name, expected, _REMEDY)
     return {name: _load_entry(folder, name) for name in manifest["entries"]}
 
 
@@ -111,26 +110,6 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
             f"{file} has format {version}, this version reads {_FORMAT}: update torchgrasp."
         )
     return manifest
-
-
-def _check_file(file: Path, expected: Mapping[str, int]) -> None:
-    try:
-        size = file.stat().st_size
-        found = _describe(file) if size == expected["bytes"] else None
-    except OSError as error:
-        raise CheckpointError(f"{file} is missing or unreadable ({error.strerror}): {_REMEDY}.") from error
-    if found is None:
-        raise CheckpointError(f"{file} has {size} bytes instead of {expected['bytes']}: {_REMEDY}.")
-    if found != dict(expected):
-        raise CheckpointError(f"{file} was changed after it was saved (its checksum differs): {_REMEDY}.")
-
-
-def _describe(file: Path) -> dict[str, int]:
-    checksum = 0
-    with file.open("rb") as stream:
-        while block := stream.read(1 << 22):
-            checksum = zlib.crc32(block, checksum)
-    return {"bytes": file.stat().st_size, "crc32": checksum}
 
 
 def _separate(tensors: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -93,8 +93,9 @@ class EpisodePool:
                 yield self._runner.run(env, policy, number, explore)
             return
         packed = pickle.dumps(policy)
+        waiting: list[Future] = []
         try:
-            waiting: list[Future] = [self._executor.submit(_work, env, packed, n, explore) for n in numbers]
+            waiting += [self._executor.submit(_work, env, packed, n, explore) for n in numbers]
             for future in waiting:
                 yield pickle.loads(future.result())
         except BrokenProcessPool as error:
@@ -102,6 +103,9 @@ class EpisodePool:
                 f"One of {self._num_workers} worker processes died, killed or out of memory: lower "
                 "collector.num_workers or env.num_envs, then go on with resume=<run dir>."
             ) from error
+        finally:
+            for future in waiting:  # those that nobody waits for any longer
+                future.cancel()
 
     def close(self) -> None:
         """End the workers."""

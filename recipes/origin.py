@@ -1,0 +1,76 @@
+"""Where demonstrations come from: what of the configuration decides their episodes, compared before use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import settings
+from omegaconf import DictConfig, OmegaConf
+
+from torchgrasp.data.files import describe_file
+from torchgrasp.errors import ConfigError
+
+# Rounds of all worlds in a shard, which is written whole or not at all.
+SHARD_ROUNDS = 4
+# What disturbs the expert in demonstrations of a kind: entries of conf/collector.
+DISTURBANCE = {"perturbed": "disturb", "failed": "disturb_to_fail"}
+# What demonstrations and a training run on them must have in common.
+SHARED = ("kind", "transforms", "camera", "overhead", "horizon", "action_space")
+
+
+def describe_origin(cfg: DictConfig) -> dict[str, Any]:
+    """All of the configuration that changes which episodes are collected."""
+    plain = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(plain, dict)
+    names = ("seed", "env", "objects", "camera", "overhead", "transforms", "expert")
+    origin: dict[str, Any] = {str(name): plain[name] for name in names if name in plain}
+    demos = cfg.demonstrations
+    origin |= {
+        "kind": demos.kind,
+        "horizon": cfg.env.horizon,
+        "action_space": cfg.env.action_space,
+        "shard_rounds": SHARD_ROUNDS,
+    }
+    if demos.kind in DISTURBANCE:
+        origin["disturb"] = plain["collector"][DISTURBANCE[demos.kind]]
+    if demos.kind == "learner":
+        origin["policy"] = describe_file(settings.weights_file(Path(str(demos.policy))))
+        origin["expert_start"] = plain["collector"]["expert_start"] if demos.expert_start else None
+    return origin
+
+
+def check_origin(ours: dict, path: Path, card: dict, names: tuple[str, ...] = ()) -> None:
+    """Refuse demonstrations that another configuration made; `names` tells what must agree, () for all.
+
+    Of what is shared with a training run, seeds may differ.
+    """
+    theirs = card["provenance"]
+    if not names and "imported_from" in theirs:
+        raise ConfigError(f"{path} was imported: its collection cannot go on, give another folder.")
+    plain = _unseeded if names else (lambda value: value)
+    differing = [name for name in (names or ours) if plain(ours.get(name)) != plain(theirs.get(name))]
+    if differing:
+        raise ConfigError(
+            f"The demonstrations in {path} were collected with another {', '.join(differing)}: "
+            f"configure that as {path / 'card.json'} tells, or give another folder."
+        )
+
+
+def check_learner(cfg: DictConfig) -> None:
+    """Refuse a `demonstrations.policy` that learned from other observations than those configured."""
+    policy = Path(str(cfg.demonstrations.policy))
+    brought = settings.brought_along(policy, list(cfg.trust))
+    ours, theirs = describe_origin(cfg), {**brought, **brought.get("env", {})}
+    names = [name for name in SHARED if name in theirs]
+    differing = [name for name in names if _unseeded(theirs[name]) != _unseeded(ours[name])]
+    if differing:
+        raise ConfigError(
+            f"demonstrations.policy={policy} learned with another {', '.join(differing)}: configure it alike."
+        )
+
+
+def _unseeded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _unseeded(each) for name, each in value.items() if name != "seed"}
+    return [_unseeded(each) for each in value] if isinstance(value, list) else value

@@ -1,0 +1,113 @@
+"""Damaged demonstrations: found on opening, named, and never trained on."""
+
+import json
+import shutil
+
+import pytest
+import torch
+from rollouts import append, make_episodes
+
+from torchgrasp.data import drop_damaged_shards, open_demonstrations
+from torchgrasp.data.files import seal_json
+from torchgrasp.errors import CheckpointError
+
+
+@pytest.fixture
+def path(tmp_path):
+    for index in range(3):
+        append(tmp_path / "demos", index)
+    return tmp_path / "demos"
+
+
+def flip(file, place):
+    content = bytearray(file.read_bytes())
+    content[place] ^= 1
+    file.write_bytes(content)
+
+
+def test_one_flipped_byte_is_found_in_every_file(path):
+    files = [each for each in path.rglob("*") if each.is_file()]
+    assert {each.name for each in files} >= {"card.json", "shard.json", "meta.json", "points.memmap"}
+    for file in files:
+        for place in (0, file.stat().st_size // 2, file.stat().st_size - 1):
+            flip(file, place)
+            with pytest.raises(CheckpointError) as error:
+                open_demonstrations(path)
+            assert str(file) in str(error.value)
+            flip(file, place)
+    open_demonstrations(path)
+
+
+def test_every_missing_or_shortened_file_is_named(path):
+    for file in [each for each in path.rglob("*") if each.is_file()]:
+        content = file.read_bytes()
+        file.write_bytes(content[:-1])
+        with pytest.raises(CheckpointError, match=r"bytes instead of|cut short") as error:
+            open_demonstrations(path, verify=False)
+        assert str(file) in str(error.value)
+        file.unlink()
+        with pytest.raises(CheckpointError, match="is missing") as error:
+            open_demonstrations(path, verify=False)
+        assert str(file) in str(error.value)
+        file.write_bytes(content)
+
+
+def test_verification_can_be_left_out(path):
+    file = path / "shard_00001" / "rows" / "points.memmap"
+    flip(file, 100)
+    assert open_demonstrations(path, verify=False).num_shards == 3
+
+
+def test_missing_shards_are_named(path):
+    shutil.move(path / "shard_00002", path.parent / "away")
+    with pytest.raises(CheckpointError, match="lacks shard_00002"):
+        open_demonstrations(path)
+    shutil.move(path.parent / "away", path / "shard_00002")
+    shutil.rmtree(path / "shard_00000")
+    with pytest.raises(CheckpointError, match="lacks shard_00000"):
+        open_demonstrations(path)
+    with pytest.raises(CheckpointError, match="no demonstrations"):
+        open_demonstrations(path / "nowhere")
+
+
+def test_a_card_of_other_shards_is_refused(path):
+    append(path.parent / "others", 0, make_episodes(7))
+    shutil.copy(path.parent / "others" / "card.json", path / "card.json")
+    with pytest.raises(CheckpointError, match=r"card\.json tells of other shards"):
+        open_demonstrations(path)
+
+
+def test_a_process_killed_before_it_wrote_the_card_leaves_no_damage(path):
+    card = (path / "card.json").read_bytes()
+    told = append(path, 3)
+    (path / "card.json").write_bytes(card)
+    assert open_demonstrations(path).card == told
+    append(path, 4)
+    assert open_demonstrations(path).num_shards == 5
+
+
+def test_damaged_shards_are_dropped_and_made_again(path):
+    whole = open_demonstrations(path)
+    episodes = [episode.clone() for episode in whole.iterate_episodes()]
+    flip(path / "shard_00001" / "rows" / "action.memmap", 5)
+    assert drop_damaged_shards(path) == 2
+    assert open_demonstrations(path).card["shards"] == 1
+    for index in (1, 2):
+        append(path, index)
+    again = open_demonstrations(path)
+    assert again.card == whole.card
+    for old, new in zip(episodes, again.iterate_episodes(), strict=True):
+        assert torch.equal(old["points"], new["points"])
+    shutil.rmtree(path / "shard_00001")
+    assert drop_damaged_shards(path) == 1 and open_demonstrations(path).num_shards == 1
+
+
+def test_older_formats_are_told_apart_from_damage(path):
+    card = json.loads((path / "card.json").read_text())
+    del card["crc32"]
+    (path / "card.json").write_text(seal_json({**card, "format": 3}))
+    with pytest.raises(CheckpointError, match="format 3, not 2"):
+        open_demonstrations(path)
+    (path / "origin.json").write_text("{}")
+    with pytest.raises(CheckpointError, match=r"written by torchgrasp 0\.1"):
+        open_demonstrations(path)

@@ -1,0 +1,163 @@
+"""Minari datasets, written and read by Minari itself."""
+
+import sys
+
+import numpy as np
+import pytest
+import torch
+from rollouts import append
+
+from torchgrasp.__main__ import main
+from torchgrasp.data import begin_demonstrations, open_demonstrations
+from torchgrasp.data.minari import export_minari, import_minari
+from torchgrasp.errors import CheckpointError, ConfigError
+
+minari = pytest.importorskip("minari")
+NAME = "torchgrasp/grasps-v0"
+
+
+@pytest.fixture
+def demonstrations(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    begin_demonstrations(tmp_path / "demos", kind="failed", provenance={"seed": 3})
+    for index in range(2):
+        append(tmp_path / "demos", index)
+    return open_demonstrations(tmp_path / "demos")
+
+
+def test_everything_comes_back_row_for_row(demonstrations, tmp_path):
+    export_minari(demonstrations, NAME)
+    card = import_minari(NAME, tmp_path / "back")
+    back = open_demonstrations(tmp_path / "back")
+    assert back.card == card
+    pairs = zip(demonstrations.iterate_episode_rows(), back.iterate_episode_rows(), strict=True)
+    for (record, rows), (other_record, other) in pairs:
+        assert record == other_record
+        assert set(rows.keys()) == set(other.keys())
+        for key in rows.keys():  # noqa: SIM118 - a tensordict iterates over its rows
+            assert torch.equal(rows[key], other[key]) and rows[key].dtype == other[key].dtype
+    same = ("kind", "episodes", "successes", "attempts", "steps", "perturbed_steps", "objects", "seeds")
+    assert {name: card[name] for name in same} == {name: demonstrations.card[name] for name in same}
+    assert card["provenance"] == {"seed": 3, "imported_from": NAME}
+
+
+def test_minari_reads_the_export(demonstrations):
+    export_minari(demonstrations, NAME)
+    assert set(minari.list_local_datasets()) == {NAME}
+    dataset = minari.load_dataset(NAME)
+    assert (dataset.total_episodes, dataset.total_steps) == (
+        demonstrations.num_episodes,
+        demonstrations.card["steps"],
+    )
+    decoded = list(demonstrations.iterate_episodes())
+    for episode, steps in zip(dataset.iterate_episodes(), decoded, strict=True):
+        assert dataset.observation_space["points"].shape == (8, 3)
+        points = episode.observations["points"]
+        assert points.dtype == np.float16 and points.shape == (len(steps) + 1, 8, 3)
+        np.testing.assert_array_equal(points[:-1], steps["points"][:, :8, :3].half().numpy())
+        np.testing.assert_array_equal(episode.actions, steps["action"].numpy())
+        np.testing.assert_array_equal(episode.infos["expert_action"][:-1], steps["expert_action"].numpy())
+        np.testing.assert_array_equal(episode.rewards, steps["next", "reward"][:, 0].numpy())
+        assert not episode.infos["has_expert"][-1] or episode.truncations[-1]
+        assert bool(episode.truncations[-1]) != bool(episode.terminations[-1])
+        if episode.truncations[-1]:
+            assert episode.observations["time_left"][-1] == steps["next", "time_left"][-1].item()
+    dataset.set_seed(0)
+    assert len(dataset.sample_episodes(3)) == 3
+
+
+def test_datasets_of_others_come_without_labels(tmp_path):
+    from gymnasium import spaces
+
+    space = spaces.Dict({name: spaces.Box(-9, 9, shape) for name, shape in STATES.items()})
+    episodes = [record_episode(space, length, length) for length in (3, 5)]
+    dataset = write_dataset(tmp_path / "other-v1", space, episodes)
+    card = import_minari(dataset, tmp_path / "demos", kind="expert")
+    assert (card["episodes"], card["steps"], card["successes"], card["labelled_steps"]) == (2, 8, 2, 0)
+    assert card["seeds"] == [3, 5] and set(card["objects"]) == {"unknown"}
+    steps = torch.cat(list(open_demonstrations(tmp_path / "demos").iterate_episodes()))
+    assert torch.allclose(
+        steps["points"][0, :20, :3], torch.from_numpy(episodes[0]["observations"]["points"][0]), atol=0.01
+    )
+
+
+STATES = {"points": (20, 3), "time_left": (1,)}
+
+
+def record_episode(space, length, seed, actions=6):
+    space.seed(seed)
+    states = [space.sample() for _ in range(length + 1)]
+    end = np.arange(length) == length - 1
+    return {
+        "seed": seed,
+        "observations": {name: np.stack([state[name] for state in states]) for name in states[0]},
+        "actions": np.zeros((length, actions), np.float32),
+        "rewards": end.astype(float),
+        "terminations": end,
+        "truncations": np.zeros(length, bool),
+    }
+
+
+def write_dataset(folder, space, episodes):
+    from gymnasium import spaces
+
+    folder.mkdir()
+    actions = spaces.Box(-1, 1, episodes[0]["actions"].shape[1:])
+    storage = minari.dataset.minari_storage.MinariStorage.new(folder / "data", space, actions)
+    storage.update_episodes([minari.data_collector.EpisodeBuffer(**each) for each in episodes])
+    storage.update_metadata({"dataset_id": folder.name, "minari_version": minari.__version__})
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("states", "actions", "told"),
+    [
+        ({"points": (20, 3)}, 6, "no 'time_left'"),
+        ({"points": (20, 4), "time_left": (1,)}, 6, "gripper_points=False"),
+        (STATES, 7, r"Actions of shape \(3, 7\)"),
+    ],
+)
+def test_datasets_that_are_no_grasping_are_refused(tmp_path, states, actions, told):
+    from gymnasium import spaces
+
+    space = spaces.Dict({name: spaces.Box(-9, 9, shape) for name, shape in states.items()})
+    dataset = write_dataset(tmp_path / "other-v0", space, [record_episode(space, 3, 0, actions)])
+    with pytest.raises(ConfigError, match=told):
+        import_minari(dataset, tmp_path / "demos")
+
+
+def test_nothing_is_written_over(demonstrations, tmp_path):
+    folder = export_minari(demonstrations, NAME)
+    with pytest.raises(ConfigError, match="is there already"):
+        export_minari(demonstrations, NAME)
+    with pytest.raises(ConfigError, match="is there already"):
+        import_minari(NAME, demonstrations.path)
+    with pytest.raises(ConfigError, match="no id of a Minari dataset"):
+        export_minari(demonstrations, "grasps without number")
+    with pytest.raises(CheckpointError, match="minari download torchgrasp/none-v0"):
+        import_minari("torchgrasp/none-v0", tmp_path / "none")
+    file = folder / "data" / "main_data.hdf5"
+    file.write_bytes(file.read_bytes()[:2000])
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        import_minari(NAME, tmp_path / "damaged")
+
+
+def test_the_command_checks_exports_and_imports(demonstrations, tmp_path, capsys):
+    path, dataset = str(demonstrations.path), str(tmp_path / "away-v3")
+    assert main(["dataset", path, "--export", dataset]) == 0
+    told = capsys.readouterr().out
+    assert "failed" in told and f"{demonstrations.card['steps']}" in told and "All files are as" in told
+    assert main(["dataset", str(tmp_path / "back"), "--import", dataset]) == 0
+    assert "mug" in capsys.readouterr().out
+    assert minari.MinariDataset(tmp_path / "away-v3" / "data").id == "away-v3"
+    (demonstrations.path / "shard_00001" / "rows" / "goal.memmap").write_bytes(b"")
+    assert main(["dataset", path]) == 1
+    assert "goal.memmap has 0 bytes" in capsys.readouterr().err
+    assert main(["dataset", path, "--drop-damaged"]) == 0
+    assert main(["dataset", path]) == 0
+
+
+def test_without_minari_one_line_tells_what_to_install(demonstrations, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "minari", None)
+    assert main(["dataset", str(demonstrations.path), "--export", NAME]) == 1
+    assert 'pip install "torchgrasp[minari]"' in capsys.readouterr().err

@@ -1,0 +1,207 @@
+"""Shards: folders of whole episodes, written whole or not at all, checked when they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+
+import torchgrasp
+from torchgrasp import keys
+from torchgrasp.data.card import COUNTS, FORMAT, add_to_card, begin_demonstrations, read_card, write_card
+from torchgrasp.data.compact import CompactTransitions
+from torchgrasp.data.files import check_file, describe_file, read_sealed_json, replace_folder, seal_json
+from torchgrasp.data.sampler import SOURCE, STUB
+from torchgrasp.errors import CheckpointError, ConfigError
+
+_SHARD, _ROWS = "shard.json", "rows"
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """One episode: what was grasped, the seed it was collected from, its rows and its outcome.
+
+    `rows` is the number of its steps, and one more if the episode was truncated: its last observation.
+    """
+
+    object: str
+    seed: int
+    rows: int
+    success: bool
+
+
+def append_shard(
+    path: str | Path,
+    episodes: Sequence[TensorDictBase],
+    *,
+    objects: Sequence[str],
+    seeds: Sequence[int],
+    index: int,
+    attempts: int | None = None,
+    wall_seconds: float = 0.0,
+    codec: CompactTransitions | None = None,
+) -> dict[str, Any]:
+    """Add complete `episodes` (T_i), one object name and seed each, as shard `index`; returns the card.
+
+    `index` must be the number of shards that are there, so that a shard collected twice, or one
+    left out, is refused. A shard may be empty: none of its `attempts` was of the kind wanted.
+
+    Args:
+        path: a folder of `begin_demonstrations`; one that is not there yet gets the kind perturbed.
+        episodes: each of them whole, ("next", "done") true at its last step alone.
+        objects: names.
+        seeds: from which they were collected.
+        index: of the shard.
+        attempts: episodes that were run for it, those that were not kept included.
+        wall_seconds: that they took.
+        codec: how transitions are stored; CompactTransitions() if None.
+    """
+    if not len(episodes) == len(objects) == len(seeds):
+        raise ConfigError(
+            f"{len(episodes)} episodes, {len(objects)} objects and {len(seeds)} seeds: give as many of each."
+        )
+    codec = codec or CompactTransitions()
+    encoded = [codec.encode(_check_episode(number, episode)) for number, episode in enumerate(episodes)]
+    return append_rows(
+        path,
+        encoded,
+        objects=objects,
+        seeds=seeds,
+        index=index,
+        attempts=len(episodes) if attempts is None else attempts,
+        wall_seconds=wall_seconds,
+    )
+
+
+def append_rows(
+    path: str | Path,
+    episodes: Sequence[TensorDictBase],
+    *,
+    objects: Sequence[str],
+    seeds: Sequence[int],
+    index: int,
+    attempts: int,
+    wall_seconds: float = 0.0,
+) -> dict[str, Any]:
+    """`append_shard` of episodes that are rows (R_i) already, as the codec's `encode` gives them."""
+    path = Path(path)
+    folders = find_shards(path)
+    if index != len(folders):
+        raise ConfigError(
+            f"{path} has {len(folders)} shards, shard {index} was given: append {len(folders)}."
+        )
+    card = _current_card(path, folders)
+    records = [
+        EpisodeRecord(name, int(seed), len(rows), bool(rows[keys.EPISODE_SUCCESS][-1]))
+        for rows, name, seed in zip(episodes, objects, seeds, strict=True)
+    ]
+    with replace_folder(path / shard_name(index)) as folder:
+        sums = {"attempts": attempts, **_write_rows(folder, episodes)}
+        files = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
+        shard = {
+            "format": FORMAT,
+            "episodes": [asdict(record) for record in records],
+            "sums": sums,
+            "wall_seconds": round(wall_seconds, 3),
+            "files": {name: describe_file(file) for name, file in files.items()},
+            "versions": _versions(),
+        }
+        (folder / _SHARD).write_text(seal_json(shard))
+    return write_card(path, add_to_card(card, shard))
+
+
+def _write_rows(folder: Path, episodes: Sequence[TensorDictBase]) -> dict[str, int]:
+    """Write the rows of all episodes into the folder; returns what was counted in them."""
+    if not episodes:
+        return dict.fromkeys(COUNTS, 0)
+    rows = torch.cat(list(episodes)).exclude(SOURCE)  # pyright: ignore
+    rows.memmap(str(folder / _ROWS))
+    step = ~rows[STUB]
+    flags = (keys.EPISODE_SUCCESS, keys.PERTURBED, keys.HAS_EXPERT)
+    success, perturbed, labelled = (int((rows[key] & step).sum()) for key in flags)
+    steps = int(step.sum())
+    counts = (len(rows), steps, success, steps - success, perturbed, labelled)
+    return dict(zip(COUNTS, counts, strict=True))
+
+
+def _check_episode(number: int, episode: TensorDictBase) -> TensorDictBase:
+    done = episode["next", "done"].reshape(-1)
+    if episode.ndim != 1 or not bool(done[-1]) or bool(done[:-1].any()):
+        raise ConfigError(
+            f"Episode {number} of shape {tuple(episode.shape)} is no whole episode (T) that ends at its last "
+            "step: cut rollouts up with split_episodes."
+        )
+    return episode
+
+
+def _current_card(path: Path, folders: Sequence[Path]) -> dict[str, Any]:
+    """The card of all shards, of which card.json lacks the last where the process was killed just then."""
+    begun = bool(folders) or (path.is_dir() and any(path.glob("*.json")))
+    card = read_card(path) if begun else begin_demonstrations(path)
+    for folder in folders[card["shards"] :]:
+        card = add_to_card(card, read_shard(folder, verify=False))
+    return card
+
+
+def count_shards(path: str | Path) -> int:
+    """Complete shards below `path`, 0 if there is nothing: the number of the next one to collect."""
+    return len(find_shards(Path(path)))
+
+
+def shard_name(number: int) -> str:
+    """The folder's name of a shard."""
+    return f"shard_{number:05d}"
+
+
+def _describe_remedy(path: Path) -> str:
+    return (
+        "restore it from a copy, or delete all from there on by "
+        f"`python -m torchgrasp dataset {path} --drop-damaged` and collect again"
+    )
+
+
+def find_shards(path: Path) -> list[Path]:
+    """The folders of the shards below `path` in order; CheckpointError names one that is missing."""
+    folders = sorted(path.glob("shard_[0-9]*"))
+    for number, folder in enumerate(folders):
+        if folder.name != shard_name(number):
+            raise CheckpointError(f"{path} lacks {shard_name(number)}: {_describe_remedy(path)}.")
+    return folders
+
+
+def read_shard(folder: Path, *, verify: bool) -> dict[str, Any]:
+    """What shard.json says of the shard in `folder`, once its files are as it says.
+
+    With `verify` every byte is read; without it, sizes are compared.
+    """
+    remedy = _describe_remedy(folder.parent)
+    shard = read_sealed_json(folder / _SHARD, remedy)
+    if shard.get("format") != FORMAT:
+        raise CheckpointError(
+            f"{folder} has format {shard.get('format')}, not {FORMAT}: use the version that wrote it."
+        )
+    for name, expected in shard["files"].items():
+        check_file(folder / name, expected, remedy, checksum=verify)
+    return shard
+
+
+def load_rows(folder: Path) -> TensorDictBase:
+    """Rows (R) of the shard in `folder`, memory-mapped; without a key where there are none."""
+    if not (folder / _ROWS).exists():
+        return TensorDict({}, [0])
+    try:
+        return TensorDict.load_memmap(folder / _ROWS, allow_pickle=False)
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
+        raise CheckpointError(
+            f"{folder / _ROWS} cannot be read ({error}): restore it from a copy."
+        ) from error
+
+
+def _versions() -> dict[str, str]:
+    others = {name: version(name) for name in ("torch", "torchrl", "tensordict", "sapien", "numpy")}
+    return {"torchgrasp": torchgrasp.__version__, **others}
