@@ -43,6 +43,12 @@ class _Pursuit:
         """Whether it is of this episode, in which time ran down since."""
         return self.episode == episode and steps_left <= self.steps_left
 
+    @property
+    def pursued(self) -> int:
+        """Row of the grasp gone for in the object's grasp set, -1 without one."""
+        row = self.plan.chosen if self.chosen < 0 else self.chosen
+        return int(self.plan.grasps.index[row]) if self.plan.ok and row >= 0 else -1
+
     def goes_on(self, episode: tuple[int, int], T_base_object: Array, steps_left: int) -> bool:
         """Whether the plan still holds: it is of this episode and the object lies still."""
         return self.is_of(episode, steps_left) and not _has_moved(self.T_base_object, T_base_object)
@@ -138,7 +144,12 @@ class ExpertPolicy(TensorDictModuleBase):
             course = self._choose(pursuit, target, T_base_ee, T_base_object)
             if course is None or not self.law.is_lost(T_base_ee, course):
                 return course
-        plan = self.planner.plan(target, T_base_object, states.q[row], steps_left, self.horizon)
+        pursued = -1
+        if pursuit is not None and pursuit.is_of(episode, steps_left):
+            pursued = pursuit.pursued
+        plan = self.planner.plan(
+            target, T_base_object, states.q[row], steps_left, self.horizon, pursued=pursued
+        )
         if not plan.ok and pursuit is not None and pursuit.plan.ok and pursuit.is_of(episode, steps_left):
             # Late in an episode there is often no new way: better the grasps known than none.
             pursuit.T_base_object, pursuit.steps_left = T_base_object, steps_left

@@ -49,14 +49,21 @@ class FunnelPlanner(Planner):
         return self.prove
 
     def plan(
-        self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
+        self,
+        target: GraspObject,
+        T_base_object: Array,
+        q: Array,
+        steps_left: int,
+        horizon: int,
+        *,
+        pursued: int = -1,
     ) -> Plan:
         """See `Planner.plan`."""
         started = time.perf_counter()
-        status, grasps = self.choice.choose(target, T_base_object, q)
+        status, grasps = self.choice.choose(target, T_base_object, q, pursued)
         if status is not PlanStatus.OK:
             return Plan(status, seconds=time.perf_counter() - started)
-        clearance, cost = Clearance.of(target, T_base_object), self.choice.cost(target, grasps)
+        clearance, cost = Clearance.of(target, T_base_object), self.choice.cost(target, grasps, pursued)
         if starts_inside(target, T_base_object, q, clearance):
             return Plan(PlanStatus.START, seconds=time.perf_counter() - started)
         if not self.prove:

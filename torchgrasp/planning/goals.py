@@ -33,32 +33,39 @@ class GoalChoice:
         clearance: metres above the table from which on the hand's height no longer counts.
         clearance_weight: metres of L_POSE that a metre less than `clearance` costs: a learner, which
             sees no table, must be taught to stay off it.
+        loyalty: metres of L_POSE by which another grasp must be cheaper than the one pursued so far when a
+            plan is made anew: labels that change their mind teach nothing.
         max_reached: how many of the nearest grasps are solved for the arm.
     """
 
     quality_weight: float = 0.1
     clearance: float = 0.03
     clearance_weight: float = 2.0
+    loyalty: float = 0.1
     max_reached: int = 48
 
     def choose(
-        self, target: GraspObject, T_base_object: Array, q: Array
+        self, target: GraspObject, T_base_object: Array, q: Array, pursued: int = -1
     ) -> tuple[PlanStatus, ReachableGrasps]:
-        """The goal set for an arm at q (7,), the cheapest first; the status tells why it is empty."""
+        """The goal set for an arm at q (7,), the cheapest first; the status tells why it is empty.
+
+        `pursued` is the grasp's row in the object's set that was gone for so far, -1 for none.
+        """
         if not len(target.grasps):
             return PlanStatus.NO_GRASPS, no_grasps()
         clear = clear_grasps(target, T_base_object)
         if not len(clear):
             return PlanStatus.TABLE, no_grasps()
         T_base_ee = kinematics.forward_kinematics(q[None])[0]
-        cost = pose_distances(T_base_ee, clear.T_base_ee) + self.cost(target, clear)
+        cost = pose_distances(T_base_ee, clear.T_base_ee) + self.cost(target, clear, pursued)
         order = np.argsort(cost, kind="stable")
         ranked = ReachableGrasps(clear.index[order], clear.T_base_ee[order])
         reached = in_reach(ranked, q, at_most=self.max_reached)
         return (PlanStatus.OK if len(reached) else PlanStatus.REACH), reached
 
-    def cost(self, target: GraspObject, grasps: ReachableGrasps) -> Array:
+    def cost(self, target: GraspObject, grasps: ReachableGrasps, pursued: int = -1) -> Array:
         """(K,) metres of L_POSE that the grasps cost whatever the way to them."""
         quality = target.grasp_quality[grasps.index].astype(np.float64)
         low = np.maximum(0.0, self.clearance - lowest_point(grasps.T_base_ee))
-        return self.clearance_weight * low - self.quality_weight * quality
+        faithful = self.loyalty * (grasps.index == pursued)
+        return self.clearance_weight * low - self.quality_weight * quality - faithful

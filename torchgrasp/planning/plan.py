@@ -100,7 +100,14 @@ class Planner(ABC):
 
     @abstractmethod
     def plan(
-        self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
+        self,
+        target: GraspObject,
+        T_base_object: Array,
+        q: Array,
+        steps_left: int,
+        horizon: int,
+        *,
+        pursued: int = -1,
     ) -> Plan:
         """Plan for an arm that stands at q with `steps_left` of `horizon` steps to go.
 
@@ -110,6 +117,8 @@ class Planner(ABC):
             q: (7,) arm angles, radians.
             steps_left: control steps until the fingers close, at least 1.
             horizon: control steps of the whole episode.
+            pursued: row of the object's grasp set that was gone for so far, -1 for none: it is preferred by
+                `GoalChoice.loyalty`.
 
         Returns:
             A plan, whose status tells why where there is none; never raises for an unlucky scene.

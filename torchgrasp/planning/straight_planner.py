@@ -37,11 +37,18 @@ class StraightPlanner(Planner):
         check_range("straight_planner.arrive", self.arrive, 0.0, 1.0, open_low=True)
 
     def plan(
-        self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
+        self,
+        target: GraspObject,
+        T_base_object: Array,
+        q: Array,
+        steps_left: int,
+        horizon: int,
+        *,
+        pursued: int = -1,
     ) -> Plan:
         """See `Planner.plan`."""
         started = time.perf_counter()
-        status, grasps = self.choice.choose(target, T_base_object, q)
+        status, grasps = self.choice.choose(target, T_base_object, q, pursued)
         if status is not PlanStatus.OK:
             return Plan(status, seconds=time.perf_counter() - started)
         goal = grasps.T_base_ee[0]
@@ -55,5 +62,5 @@ class StraightPlanner(Planner):
         path = pace(np.array(way), steps, self.control_period, at_most=steps_left)
         if path is None:
             return Plan(PlanStatus.STEPS, seconds=time.perf_counter() - started)
-        poses, penalty = kinematics.forward_kinematics(path), self.choice.cost(target, grasps)
+        poses, penalty = kinematics.forward_kinematics(path), self.choice.cost(target, grasps, pursued)
         return Plan(status, grasps, penalty, 0, path, poses, time.perf_counter() - started)

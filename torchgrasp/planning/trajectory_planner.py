@@ -81,7 +81,14 @@ class TrajectoryPlanner(Planner):
             raise ConfigError(f"trajectory_planner.num_steps={self.num_steps!r}: give fixed or free.")
 
     def plan(
-        self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, horizon: int
+        self,
+        target: GraspObject,
+        T_base_object: Array,
+        q: Array,
+        steps_left: int,
+        horizon: int,
+        *,
+        pursued: int = -1,
     ) -> Plan:
         """See `Planner.plan`."""
         started = time.perf_counter()
@@ -89,7 +96,7 @@ class TrajectoryPlanner(Planner):
         steps, at_most = steps_to_arrive(steps_left, horizon, self.arrive), steps_left
         if self.num_steps == "free":
             steps, at_most = 1, None
-        found = self._search(target, T_base_object, q, (steps, at_most), started)
+        found = self._search(target, T_base_object, q, (steps, at_most), started, pursued)
         return Plan(*found, seconds=time.perf_counter() - started)
 
     def _search(
@@ -99,17 +106,18 @@ class TrajectoryPlanner(Planner):
         q: Array,
         limits: tuple[int, int | None],
         started: float,
+        pursued: int,
     ) -> tuple:
         """The arguments of the plan but for its time."""
         steps, at_most = limits
-        status, grasps = self.choice.choose(target, T_base_object, q)
+        status, grasps = self.choice.choose(target, T_base_object, q, pursued)
         if status is not PlanStatus.OK:
             return (status,)
         clearance = Clearance.of(target, T_base_object)
         if starts_inside(target, T_base_object, q, clearance):
             return (PlanStatus.START,)
-        goals = self._solve(target, grasps, q, clearance, at_most)
-        penalty = self.choice.cost(target, grasps)
+        penalty = self.choice.cost(target, grasps, pursued)
+        goals = self._solve(grasps, penalty, q, clearance, at_most)
         hurried = False
         for first in range(0, len(goals.row), self.num_goals):
             if time.perf_counter() - started > self.budget:
@@ -132,12 +140,7 @@ class TrajectoryPlanner(Planner):
         return (PlanStatus.STEPS if hurried else PlanStatus.BLOCKED,)
 
     def _solve(
-        self,
-        target: GraspObject,
-        grasps: ReachableGrasps,
-        q: Array,
-        clearance: Clearance,
-        at_most: int | None,
+        self, grasps: ReachableGrasps, cost: Array, q: Array, clearance: Clearance, at_most: int | None
     ) -> _Goals:
         """Postures of the nearest grasps whose straight approach the arm can follow clear of things."""
         row, postures = [], []
@@ -151,7 +154,7 @@ class TrajectoryPlanner(Planner):
         apart = np.minimum(apart, clearance.distances(approach[:, -1], hand=False))
         good = followed & (apart > 0.0)
         rows, approach = rows[good], approach[good]
-        toll = self.toll * self.choice.cost(target, grasps)[rows]
+        toll = self.toll * cost[rows]
         order = np.argsort(toll + np.linalg.norm(approach[:, 0] - q, axis=-1), kind="stable")
         return _Goals(rows[order], toll[order], approach[order])
 
