@@ -34,7 +34,7 @@ _AT_LEAST = {
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
-    "video.episodes": 0, "video.fps": 1, "planning.steps": 1,
+    "video.episodes": 0, "video.fps": 1,
 }  # fmt: skip
 
 
