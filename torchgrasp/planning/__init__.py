@@ -12,8 +12,9 @@ from torchgrasp.planning.law import PathFollower as PathFollower
 from torchgrasp.planning.open_loop import OpenLoopPolicy as OpenLoopPolicy
 from torchgrasp.planning.plan import NO_PLANNER as NO_PLANNER
 from torchgrasp.planning.plan import Plan as Plan
-from torchgrasp.planning.plan import Planner as Planner
 from torchgrasp.planning.plan import PlanStatus as PlanStatus
+from torchgrasp.planning.planner import Planner as Planner
+from torchgrasp.planning.planner import Query as Query
 from torchgrasp.planning.pose_noise import PoseNoise as PoseNoise
 from torchgrasp.planning.relay import Relay as Relay
 from torchgrasp.planning.straight_planner import StraightPlanner as StraightPlanner

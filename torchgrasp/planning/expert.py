@@ -17,7 +17,8 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.funnel_planner import FunnelPlanner
 from torchgrasp.planning.goals import pose_distances
 from torchgrasp.planning.law import Course, Law, PathFollower
-from torchgrasp.planning.plan import Plan, Planner, PlanStatus
+from torchgrasp.planning.plan import Plan, PlanStatus
+from torchgrasp.planning.planner import Planner
 from torchgrasp.planning.states import STATE_KEYS, WorldStates
 from torchgrasp.planning.trajectory_planner import TrajectoryPlanner
 from torchgrasp.sim.control import ActionSpace, EeDelta

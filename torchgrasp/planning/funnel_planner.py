@@ -8,15 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from torchgrasp.errors import check_range
-from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
 from torchgrasp.planning.driven import drive_along
 from torchgrasp.planning.funnel import Funnel
 from torchgrasp.planning.goals import GoalChoice
-from torchgrasp.planning.plan import Plan, Planner, PlanStatus
+from torchgrasp.planning.plan import Plan, PlanStatus
+from torchgrasp.planning.planner import Planner, Query
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.kinematics import Array
+from torchgrasp.sim.reach import ReachableGrasps
 
 
 @dataclass(frozen=True)
@@ -48,39 +49,26 @@ class FunnelPlanner(Planner):
         """See `Planner.gives_path`: a way that was not rolled out is not known."""
         return self.prove
 
-    def plan(
-        self,
-        target: GraspObject,
-        T_base_object: Array,
-        q: Array,
-        steps_left: int,
-        horizon: int,
-        *,
-        pursued: int = -1,
-    ) -> Plan:
-        """See `Planner.plan`."""
-        started = time.perf_counter()
-        status, grasps = self.choice.choose(target, T_base_object, q, pursued)
-        if status is not PlanStatus.OK:
-            return Plan(status, seconds=time.perf_counter() - started)
-        clearance, cost = Clearance.of(target, T_base_object), self.choice.cost(target, grasps, pursued)
-        if starts_inside(target, T_base_object, q, clearance):
-            return Plan(PlanStatus.START, seconds=time.perf_counter() - started)
+    def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
+        """See `Planner.find_way`."""
+        target, q, cost = query.target, query.q, self.cost(query, grasps)
+        clearance = Clearance.of(target, query.T_base_object)
+        if starts_inside(target, query.T_base_object, q, clearance):
+            return Plan(PlanStatus.START)
         if not self.prove:
-            return Plan(status, grasps, cost, seconds=time.perf_counter() - started)
+            return Plan(PlanStatus.OK, grasps, cost)
         for start in range(0, len(grasps), self.num_rollouts):
-            if time.perf_counter() - started > self.budget:
-                return Plan(PlanStatus.TIME, seconds=time.perf_counter() - started)
+            if time.perf_counter() - query.started > self.budget:
+                return Plan(PlanStatus.TIME)
             goals = grasps.T_base_ee[start : start + self.num_rollouts]
-            ways = self._roll_out(q, goals, steps_left, horizon)
+            ways = self._roll_out(q, goals, query.steps_left, query.horizon)
             arrives = np.linalg.norm(ways[:, -1, :3, 3] - goals[:, :3, 3], axis=-1) < 5e-3
-            for row, free in enumerate(arrives & hand_is_free(target, T_base_object, ways)):
+            for row, free in enumerate(arrives & hand_is_free(target, query.T_base_object, ways)):
                 path = drive_along(q, ways[row]) if free else None
                 if path is not None and arm_is_free(clearance, path[None])[0]:
-                    seconds = time.perf_counter() - started
-                    return Plan(status, grasps, cost, start + row, path, ways[row], seconds)
+                    return Plan(PlanStatus.OK, grasps, cost, start + row, path, ways[row])
                 cost[start + row] += self.blocked
-        return Plan(PlanStatus.BLOCKED, seconds=time.perf_counter() - started)
+        return Plan(PlanStatus.BLOCKED)
 
     def _roll_out(self, q: Array, goals: Array, steps_left: int, horizon: int) -> Array:
         """(K, steps_left + 1, 4, 4) the funnel's ways from q to goals (K, 4, 4)."""

@@ -13,7 +13,8 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.planning.plan import Plan, Planner, PlanStatus
+from torchgrasp.planning.plan import Plan, PlanStatus
+from torchgrasp.planning.planner import Planner
 from torchgrasp.planning.pose_noise import PoseNoise
 from torchgrasp.planning.states import STATE_KEYS, WorldStates
 from torchgrasp.planning.trajectory_planner import TrajectoryPlanner

@@ -1,14 +1,12 @@
-"""What a planner answers, and what every planner is asked."""
+"""What a planner answers: a path to a grasp, or the reason why there is none."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
 
-from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.kinematics import Array
 from torchgrasp.sim.reach import ReachableGrasps
 
@@ -42,11 +40,6 @@ class PlanStatus(Enum):
 def no_grasps() -> ReachableGrasps:
     """The empty goal set."""
     return ReachableGrasps(np.empty(0, dtype=np.int64), np.empty((0, 4, 4)))
-
-
-def steps_to_arrive(steps_left: int, horizon: int, arrive: float) -> int:
-    """Control steps until a share `arrive` of the horizon is over, at least 1."""
-    return max(1, steps_left - int(np.floor((1 - arrive) * horizon)))
 
 
 @dataclass(frozen=True)
@@ -88,38 +81,3 @@ class Plan:
         if self.chosen < 0:
             raise ValueError(f"There is no goal: {self.reason}.")
         return self.grasps.T_base_ee[self.chosen]
-
-
-class Planner(ABC):
-    """Finds a way of the arm to a grasp of an object whose shape and pose are known (Sec. 3.3)."""
-
-    @property
-    def gives_path(self) -> bool:
-        """Whether its plans hold a path, and not goals alone."""
-        return True
-
-    @abstractmethod
-    def plan(
-        self,
-        target: GraspObject,
-        T_base_object: Array,
-        q: Array,
-        steps_left: int,
-        horizon: int,
-        *,
-        pursued: int = -1,
-    ) -> Plan:
-        """Plan for an arm that stands at q with `steps_left` of `horizon` steps to go.
-
-        Args:
-            target: the object.
-            T_base_object: (4, 4) its pose.
-            q: (7,) arm angles, radians.
-            steps_left: control steps until the fingers close, at least 1.
-            horizon: control steps of the whole episode.
-            pursued: row of the object's grasp set that was gone for so far, -1 for none: it is preferred by
-                `GoalChoice.loyalty`.
-
-        Returns:
-            A plan, whose status tells why where there is none; never raises for an unlucky scene.
-        """

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from torchgrasp.errors import check_range
-from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.goals import GoalChoice
 from torchgrasp.planning.pacing import pace
-from torchgrasp.planning.plan import Plan, Planner, PlanStatus, steps_to_arrive
+from torchgrasp.planning.plan import Plan, PlanStatus
+from torchgrasp.planning.planner import Planner, Query
 from torchgrasp.sim import kinematics
-from torchgrasp.sim.kinematics import Array
+from torchgrasp.sim.reach import ReachableGrasps
 
 
 @dataclass(frozen=True)
@@ -36,31 +35,17 @@ class StraightPlanner(Planner):
         check_range("straight_planner.standoff", self.standoff, 0.0, 0.3)
         check_range("straight_planner.arrive", self.arrive, 0.0, 1.0, open_low=True)
 
-    def plan(
-        self,
-        target: GraspObject,
-        T_base_object: Array,
-        q: Array,
-        steps_left: int,
-        horizon: int,
-        *,
-        pursued: int = -1,
-    ) -> Plan:
-        """See `Planner.plan`."""
-        started = time.perf_counter()
-        status, grasps = self.choice.choose(target, T_base_object, q, pursued)
-        if status is not PlanStatus.OK:
-            return Plan(status, seconds=time.perf_counter() - started)
-        goal = grasps.T_base_ee[0]
-        way = [q]
+    def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
+        """See `Planner.find_way`."""
+        goal, way = grasps.T_base_ee[0], [query.q]
         if self.standoff:
             before = goal.copy()
             before[:3, 3] -= self.standoff * before[:3, 2]
-            way += list(kinematics.sample_postures(before, q)[:1])
+            way += list(kinematics.sample_postures(before, query.q)[:1])
         way.append(kinematics.sample_postures(goal, way[-1])[0])
-        steps = steps_to_arrive(steps_left, horizon, self.arrive)
-        path = pace(np.array(way), steps, self.control_period, at_most=steps_left)
+        steps = query.steps_to_arrive(self.arrive)
+        path = pace(np.array(way), steps, self.control_period, at_most=query.steps_left)
         if path is None:
-            return Plan(PlanStatus.STEPS, seconds=time.perf_counter() - started)
-        poses, penalty = kinematics.forward_kinematics(path), self.choice.cost(target, grasps, pursued)
-        return Plan(status, grasps, penalty, 0, path, poses, time.perf_counter() - started)
+            return Plan(PlanStatus.STEPS)
+        poses = kinematics.forward_kinematics(path)
+        return Plan(PlanStatus.OK, grasps, self.cost(query, grasps), 0, path, poses)

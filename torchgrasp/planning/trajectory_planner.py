@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -15,7 +16,8 @@ from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
 from torchgrasp.planning.driven import drive_along
 from torchgrasp.planning.goals import GoalChoice
 from torchgrasp.planning.pacing import pace
-from torchgrasp.planning.plan import Plan, Planner, PlanStatus, steps_to_arrive
+from torchgrasp.planning.plan import Plan, PlanStatus
+from torchgrasp.planning.planner import Planner, Query
 from torchgrasp.planning.trajectory import TrajectoryOptimizer
 from torchgrasp.sim import kinematics, tracking
 from torchgrasp.sim.kinematics import Array
@@ -27,17 +29,17 @@ _RETREAT = 0.012
 
 @dataclass(frozen=True)
 class _Goals:
-    """Postures that end in a grasp by a straight approach.
+    """Postures at grasps, the cheapest first.
 
     Attributes:
         row: (K,) of the grasp in the goal set.
         toll: (K,) radians that the grasp costs in itself.
-        approach: (K, A + 1, 7) from the standoff to the grasp.
+        q: (K, 7) the postures.
     """
 
     row: np.ndarray
     toll: Array
-    approach: Array
+    q: Array
 
 
 @dataclass(frozen=True)
@@ -80,96 +82,75 @@ class TrajectoryPlanner(Planner):
         if self.num_steps not in ("fixed", "free"):
             raise ConfigError(f"trajectory_planner.num_steps={self.num_steps!r}: give fixed or free.")
 
-    def plan(
-        self,
-        target: GraspObject,
-        T_base_object: Array,
-        q: Array,
-        steps_left: int,
-        horizon: int,
-        *,
-        pursued: int = -1,
-    ) -> Plan:
-        """See `Planner.plan`."""
-        started = time.perf_counter()
+    def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
+        """See `Planner.find_way`."""
+        target, clearance = query.target, Clearance.of(query.target, query.T_base_object)
+        if starts_inside(target, query.T_base_object, query.q, clearance):
+            return Plan(PlanStatus.START)
         # A late hand may take the steps that are kept in reserve, a free one as many as it needs.
-        steps, at_most = steps_to_arrive(steps_left, horizon, self.arrive), steps_left
+        steps, at_most = query.steps_to_arrive(self.arrive), query.steps_left
         if self.num_steps == "free":
             steps, at_most = 1, None
-        found = self._search(target, T_base_object, q, (steps, at_most), started, pursued)
-        return Plan(*found, seconds=time.perf_counter() - started)
+        cost, hurried = self.cost(query, grasps), False
+        goals = self._solve(grasps, cost, query.q)
+        for row, way in self._optimized(query, grasps, goals, clearance, at_most):
+            path = pace(way, steps, self.control_period, at_most=at_most)
+            hurried |= path is None
+            proved = None if path is None else self._prove(target, query.T_base_object, path, clearance)
+            if proved is not None:
+                return Plan(PlanStatus.OK, grasps, cost, row, *proved)
+        if time.perf_counter() - query.started > self.budget:
+            return Plan(PlanStatus.TIME)
+        return Plan(PlanStatus.STEPS if hurried else PlanStatus.BLOCKED)
 
-    def _search(
+    def _solve(self, grasps: ReachableGrasps, cost: Array, q: Array) -> _Goals:
+        """Postures of the grasps, ranked by their toll and the straight way to them in joint space."""
+        found = [kinematics.sample_postures(pose, q)[: self.postures] for pose in grasps.T_base_ee]
+        rows = np.repeat(np.arange(len(grasps)), [len(postures) for postures in found])
+        postures, toll = np.concatenate(found), self.toll * cost[rows]
+        order = np.argsort(toll + np.linalg.norm(postures - q, axis=-1), kind="stable")
+        return _Goals(rows[order], toll[order], postures[order])
+
+    def _optimized(
         self,
-        target: GraspObject,
-        T_base_object: Array,
-        q: Array,
-        limits: tuple[int, int | None],
-        started: float,
-        pursued: int,
-    ) -> tuple:
-        """The arguments of the plan but for its time."""
-        steps, at_most = limits
-        status, grasps = self.choice.choose(target, T_base_object, q, pursued)
-        if status is not PlanStatus.OK:
-            return (status,)
-        clearance = Clearance.of(target, T_base_object)
-        if starts_inside(target, T_base_object, q, clearance):
-            return (PlanStatus.START,)
-        penalty = self.choice.cost(target, grasps, pursued)
-        goals = self._solve(grasps, penalty, q, clearance, at_most)
-        hurried = False
+        query: Query,
+        grasps: ReachableGrasps,
+        goals: _Goals,
+        clearance: Clearance,
+        at_most: int | None,
+    ) -> Iterator[tuple[int, Array]]:
+        """Rows of grasps and clear ways (N, 7) to them, batch by batch until the budget is spent."""
+        deadline = query.started + self.budget
         for first in range(0, len(goals.row), self.num_goals):
-            if time.perf_counter() - started > self.budget:
-                return (PlanStatus.TIME,)
+            if time.perf_counter() > deadline:
+                return
             batch = slice(first, first + self.num_goals)
+            rows, toll = goals.row[batch], goals.toll[batch]
+            approach, clear = self._approach(grasps.T_base_ee[rows], goals.q[batch], clearance, at_most)
+            rows, toll, approach = rows[clear], toll[clear], approach[clear]
+            if not len(rows):
+                continue
             order, paths = self.optimizer.optimize(
-                clearance,
-                q,
-                goals.approach[batch, 0],
-                goals.toll[batch],
-                deadline=started + self.budget,
+                clearance, query.q, approach[:, 0], toll, deadline=deadline
             )
-            for goal, path in zip(first + order, paths, strict=True):
-                way = np.concatenate((path, goals.approach[goal, 1:]))
-                paced = pace(way, steps, self.control_period, at_most=at_most)
-                hurried |= paced is None
-                proved = None if paced is None else self._prove(target, T_base_object, paced, clearance)
-                if proved is not None:
-                    return PlanStatus.OK, grasps, penalty, int(goals.row[goal]), *proved
-        return (PlanStatus.STEPS if hurried else PlanStatus.BLOCKED,)
+            for goal, path in zip(order, paths, strict=True):
+                yield int(rows[goal]), np.concatenate((path, approach[goal, 1:]))
 
-    def _solve(
-        self, grasps: ReachableGrasps, cost: Array, q: Array, clearance: Clearance, at_most: int | None
-    ) -> _Goals:
-        """Postures of the nearest grasps whose straight approach the arm can follow clear of things."""
-        row, postures = [], []
-        for number, pose in enumerate(grasps.T_base_ee):
-            found = kinematics.sample_postures(pose, q)[: self.postures]
-            row += [number] * len(found)
-            postures.append(found)
-        rows = np.array(row, dtype=np.int64)
-        approach, followed = self._retreat(grasps.T_base_ee[rows], np.concatenate(postures), at_most)
-        apart = clearance.distances(approach[:, 0])
-        apart = np.minimum(apart, clearance.distances(approach[:, -1], hand=False))
-        good = followed & (apart > 0.0)
-        rows, approach = rows[good], approach[good]
-        toll = self.toll * cost[rows]
-        order = np.argsort(toll + np.linalg.norm(approach[:, 0] - q, axis=-1), kind="stable")
-        return _Goals(rows[order], toll[order], approach[order])
-
-    def _retreat(self, T_base_goals: Array, q: Array, at_most: int | None) -> tuple[Array, np.ndarray]:
-        """Joint paths (K, A + 1, 7) from the standoffs to the goals, and (K,) whether the arm can follow."""
+    def _approach(
+        self, T_base_goals: Array, q: Array, clearance: Clearance, at_most: int | None
+    ) -> tuple[Array, np.ndarray]:
+        """Joint paths (K, A + 1, 7) from the standoffs to the goals, and (K,) whether they are clear."""
         # A late hand has no steps for the whole way back and in again.
         standoff = self.standoff if at_most is None else min(self.standoff, _RETREAT * at_most)
         path = np.empty((len(q), self.approach_points + 1, 7))
-        path[:, -1], followed = q, np.ones(len(q), dtype=bool)
+        path[:, -1], clear = q, np.ones(len(q), dtype=bool)
         for point in range(1, self.approach_points + 1):
             pose = T_base_goals.copy()
             pose[:, :3, 3] -= standoff * point / self.approach_points * pose[:, :3, 2]
             path[:, -1 - point], error = tracking.track_pose(path[:, -point], pose, tolerance=1e-4)
-            followed &= error < 1e-3
-        return path, followed
+            clear &= error < 1e-3
+        clear &= clearance.distances(path[:, 0]) > 0.0
+        return path, clear & (clearance.distances(path[:, -1], hand=False) > 0.0)
 
     def _prove(
         self, target: GraspObject, T_base_object: Array, path: Array, clearance: Clearance
