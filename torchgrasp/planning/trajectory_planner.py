@@ -93,15 +93,24 @@ class TrajectoryPlanner(Planner):
             steps, at_most = 1, None
         cost, hurried = self.cost(query, grasps), False
         goals = self._solve(grasps, cost, query.q)
-        for row, way in self._optimized(query, grasps, goals, clearance, at_most):
-            path = pace(way, steps, self.control_period, at_most=at_most)
-            hurried |= path is None
-            proved = None if path is None else self._prove(target, query.T_base_object, path, clearance)
-            if proved is not None:
-                return Plan(PlanStatus.OK, grasps, cost, row, *proved)
+        for standoff in self._standoffs(at_most):
+            for row, way in self._optimized(query, grasps, goals, clearance, standoff):
+                path = pace(way, steps, self.control_period, at_most=at_most)
+                hurried |= path is None
+                proved = None if path is None else self._prove(target, query.T_base_object, path, clearance)
+                if proved is not None:
+                    return Plan(PlanStatus.OK, grasps, cost, row, *proved)
+            if not hurried:
+                break
         if time.perf_counter() - query.started > self.budget:
             return Plan(PlanStatus.TIME)
         return Plan(PlanStatus.STEPS if hurried else PlanStatus.BLOCKED)
+
+    def _standoffs(self, at_most: int | None) -> tuple[float, ...]:
+        """Standoffs to try in turn: a late hand has no steps for the whole way back and in again."""
+        if at_most is None or _RETREAT * at_most >= self.standoff:
+            return (self.standoff,)
+        return _RETREAT * at_most, _RETREAT * at_most / 4
 
     def _solve(self, grasps: ReachableGrasps, cost: Array, q: Array) -> _Goals:
         """Postures of the grasps, ranked by their toll and the straight way to them in joint space."""
@@ -117,7 +126,7 @@ class TrajectoryPlanner(Planner):
         grasps: ReachableGrasps,
         goals: _Goals,
         clearance: Clearance,
-        at_most: int | None,
+        standoff: float,
     ) -> Iterator[tuple[int, Array]]:
         """Rows of grasps and clear ways (N, 7) to them, batch by batch until the budget is spent."""
         deadline = query.started + self.budget
@@ -126,7 +135,7 @@ class TrajectoryPlanner(Planner):
                 return
             batch = slice(first, first + self.num_goals)
             rows, toll = goals.row[batch], goals.toll[batch]
-            approach, clear = self._approach(grasps.T_base_ee[rows], goals.q[batch], clearance, at_most)
+            approach, clear = self._approach(grasps.T_base_ee[rows], goals.q[batch], clearance, standoff)
             rows, toll, approach = rows[clear], toll[clear], approach[clear]
             if not len(rows):
                 continue
@@ -137,11 +146,9 @@ class TrajectoryPlanner(Planner):
                 yield int(rows[goal]), np.concatenate((path, approach[goal, 1:]))
 
     def _approach(
-        self, T_base_goals: Array, q: Array, clearance: Clearance, at_most: int | None
+        self, T_base_goals: Array, q: Array, clearance: Clearance, standoff: float
     ) -> tuple[Array, np.ndarray]:
         """Joint paths (K, A + 1, 7) from the standoffs to the goals, and (K,) whether they are clear."""
-        # A late hand has no steps for the whole way back and in again.
-        standoff = self.standoff if at_most is None else min(self.standoff, _RETREAT * at_most)
         path = np.empty((len(q), self.approach_points + 1, 7))
         path[:, -1], clear = q, np.ones(len(q), dtype=bool)
         for point in range(1, self.approach_points + 1):
