@@ -99,6 +99,21 @@ def test_without_a_new_way_the_expert_goes_on_to_the_grasp_it_knew():
     assert (grasps - T_object_goal).abs().amax((1, 2)).min() < 1e-4
 
 
+def test_a_late_hand_is_led_by_the_fallback_where_the_planner_finds_no_path():
+    env = make_env(6)
+    state = env.reset()
+    late = state.clone()
+    late["time_left"] = torch.full((6, 1), 7 / HORIZON)
+    alone = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=TrajectoryPlanner())
+    backed = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=TrajectoryPlanner(), fallback=FunnelPlanner())
+    funnel = ExpertPolicy(OBJECTS, horizon=HORIZON, planner=FunnelPlanner())
+    has = [expert(late.clone())["has_expert"][:, 0] for expert in (alone, backed, funnel)]
+    assert torch.equal(has[1], has[0] | has[2])
+    assert has[1].sum() > has[0].sum()
+    labels = [expert(late.clone())["expert_action"] for expert in (alone, backed, funnel)]
+    assert torch.equal(labels[1], torch.where(has[0][:, None], labels[0], labels[2]))
+
+
 def test_world_numbers_tell_worlds_apart_wherever_they_stand_in_the_batch():
     env = make_env(3)
     expert = ExpertPolicy(OBJECTS, horizon=HORIZON)

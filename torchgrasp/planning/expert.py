@@ -26,6 +26,8 @@ from torchgrasp.sim.kinematics import Array
 
 # An object that moved further than this since its plan was made is planned for again.
 _MOVED, _TURNED = 0.02, 0.25
+# Where another planner may still find a way.
+_HOPEFUL = (PlanStatus.BLOCKED, PlanStatus.STEPS, PlanStatus.TIME)
 
 
 @dataclass
@@ -36,6 +38,7 @@ class _Pursuit:
     T_base_object: Array
     planned_for: Array
     plan: Plan
+    law: Law
     planned_at: int
     steps_left: int
     chosen: int = -1
@@ -57,7 +60,7 @@ class _Pursuit:
     def course(self, T_base_goal: Array, T_base_object: Array) -> Course:
         """What the law is told."""
         shift = T_base_object @ np.linalg.inv(self.planned_for)
-        return Course(self.plan, T_base_goal, self.planned_at - self.steps_left, shift)
+        return Course(self.plan, self.law, T_base_goal, self.planned_at - self.steps_left, shift)
 
 
 class ExpertPolicy(TensorDictModuleBase):
@@ -77,6 +80,8 @@ class ExpertPolicy(TensorDictModuleBase):
         planner: how grasps are chosen and the way to them is proved; `TrajectoryPlanner` by default.
         law: how the hand goes on from any state; by default the funnel of a `FunnelPlanner`, along the
             path of any other.
+        fallback: asked where the planner finds no way, above all for a learner that is late; its plans are
+            followed by the law that is its own. By default a `FunnelPlanner` where no planner is given.
         action_space: the environment's, in which labels are given.
         loyalty: metres of L_POSE by which another grasp must be nearer.
         execute: also write the label as ACTION; False where another policy acts.
@@ -89,6 +94,7 @@ class ExpertPolicy(TensorDictModuleBase):
         horizon: int,
         planner: Planner | None = None,
         law: Law | None = None,
+        fallback: Planner | None = None,
         action_space: ActionSpace | None = None,
         loyalty: float = 0.01,
         execute: bool = True,
@@ -97,8 +103,11 @@ class ExpertPolicy(TensorDictModuleBase):
         self.objects = objects
         self.horizon = horizon
         self.planner = planner or TrajectoryPlanner()
-        own = self.planner.funnel if isinstance(self.planner, FunnelPlanner) else PathFollower()
-        self.law = law or own
+        self.law = law or _own_law(self.planner)
+        if fallback is None and planner is None:
+            fallback = FunnelPlanner()
+        self.fallback = fallback
+        self._fallback_law = None if fallback is None else _own_law(fallback)
         if not self.law.any_goal and not self.planner.gives_path:
             raise ConfigError("expert.law follows a path, but expert.planner has none: give prove=True.")
         self.actions = action_space or EeDelta()
@@ -124,14 +133,15 @@ class ExpertPolicy(TensorDictModuleBase):
         for row, world in enumerate(states.worlds):
             courses.append(self._pursue(states, row))
             self._reasons.append(self._pursuits[world].plan.status)
-        rows = [i for i, course in enumerate(courses) if course is not None]
         target, goals = T_base_ee.copy(), T_base_ee.copy()
-        has_goal = np.zeros(len(courses), dtype=bool)
-        if rows:
-            held = [course for course in courses if course is not None]
-            has_goal[rows] = True
+        has_goal = np.array([course is not None for course in courses])
+        for law in (self.law, self._fallback_law):
+            rows = [i for i, course in enumerate(courses) if course is not None and course.law is law]
+            held = [course for course in courses if course is not None and course.law is law]
+            if law is None or not rows:
+                continue
             goals[rows] = [course.T_base_goal for course in held]
-            target[rows] = self.law.steer(T_base_ee[rows], held, steps_left[rows], self.horizon)
+            target[rows] = law.steer(T_base_ee[rows], held, steps_left[rows], self.horizon)
         action = self.actions.action_towards(states.q, T_base_ee, target)
         return self._write(tensordict, T_base_ee, action, goals, has_goal)
 
@@ -143,22 +153,32 @@ class ExpertPolicy(TensorDictModuleBase):
         if pursuit is not None and pursuit.goes_on(episode, T_base_object, steps_left):
             pursuit.steps_left = steps_left
             course = self._choose(pursuit, target, T_base_ee, T_base_object)
-            if course is None or not self.law.is_lost(T_base_ee, course):
+            if course is None or not pursuit.law.is_lost(T_base_ee, course):
                 return course
-        pursued = -1
-        if pursuit is not None and pursuit.is_of(episode, steps_left):
-            pursued = pursuit.pursued
-        plan = self.planner.plan(
-            target, T_base_object, states.q[row], steps_left, self.horizon, pursued=pursued
-        )
-        if not plan.ok and pursuit is not None and pursuit.plan.ok and pursuit.is_of(episode, steps_left):
+        known = pursuit is not None and pursuit.is_of(episode, steps_left)
+        pursued = pursuit.pursued if pursuit is not None and known else -1
+        plan, law = self._plan(target, T_base_object, states.q[row], steps_left, pursued)
+        if not plan.ok and pursuit is not None and known and pursuit.plan.ok:
             # Late in an episode there is often no new way: better the grasps known than none.
             pursuit.T_base_object, pursuit.steps_left = T_base_object, steps_left
             return self._choose(pursuit, target, T_base_ee, T_base_object)
         pursuit = self._pursuits[world] = _Pursuit(
-            episode, T_base_object, T_base_object, plan, steps_left, steps_left
+            episode, T_base_object, T_base_object, plan, law, steps_left, steps_left
         )
         return self._choose(pursuit, target, T_base_ee, T_base_object)
+
+    def _plan(
+        self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, pursued: int
+    ) -> tuple[Plan, Law]:
+        """The planner's plan, or the fallback's where that has none, and the law that goes with it."""
+        scene = (target, T_base_object, q, steps_left, self.horizon)
+        plan = self.planner.plan(*scene, pursued=pursued)
+        if self.fallback is None or self._fallback_law is None or plan.status not in _HOPEFUL:
+            return plan, self.law
+        other = self.fallback.plan(*scene, pursued=pursued)
+        if other.ok:
+            return other, self._fallback_law
+        return plan, self.law
 
     def _choose(
         self, pursuit: _Pursuit, target: GraspObject, T_base_ee: Array, T_base_object: Array
@@ -168,7 +188,7 @@ class ExpertPolicy(TensorDictModuleBase):
         if not plan.ok:
             return None
         grasps = T_base_object @ target.grasps[plan.grasps.index].astype(np.float64)
-        if not self.law.any_goal:
+        if not pursuit.law.any_goal:
             return pursuit.course(grasps[plan.chosen], T_base_object)
         cost = pose_distances(T_base_ee, grasps) + plan.penalty
         if pursuit.chosen >= 0:
@@ -195,6 +215,11 @@ class ExpertPolicy(TensorDictModuleBase):
         if self.execute:
             tensordict.set(keys.ACTION, action.clone())
         return tensordict
+
+
+def _own_law(planner: Planner) -> Law:
+    """The law that a planner's plans are made for."""
+    return planner.funnel if isinstance(planner, FunnelPlanner) else PathFollower()
 
 
 def _has_moved(before: Array, after: Array) -> bool:

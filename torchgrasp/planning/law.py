@@ -20,12 +20,14 @@ class Course:
 
     Attributes:
         plan: the plan that holds.
+        law: that leads along it.
         T_base_goal: (4, 4) the grasp gone for.
         age: control steps since the plan was made.
         shift: (4, 4) what moved the object since then, in the base: identity where it lies still.
     """
 
     plan: Plan
+    law: Law
     T_base_goal: Array
     age: int
     shift: Array
