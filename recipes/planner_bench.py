@@ -9,8 +9,9 @@ from pathlib import Path
 import common
 import numpy as np
 import torch
+from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from tensordict import TensorDict
 
 from torchgrasp import keys
@@ -19,12 +20,12 @@ from torchgrasp.envs.scene import Scene
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import goal_to_pose
 from torchgrasp.objectives.functional import action_distance, pose_distance
-from torchgrasp.planning import ExpertPolicy
+from torchgrasp.planning import Disturb, ExpertPolicy
 from torchgrasp.planning.distance import distance_field
 from torchgrasp.sim.kinematics import forward_kinematics
 from torchgrasp.training import Progress, SuccessTable
 
-_CONF = Path(__file__).parents[1] / "conf" / "expert"
+_CONF = Path(__file__).parents[1] / "conf"
 # Joint angles by which a neighbouring state differs, radians: the hand moves by some 3 mm.
 _NUDGE = 0.005
 # Metres of L_POSE beyond which two labels name different grasps.
@@ -33,16 +34,17 @@ _SAME_GOAL = 0.02
 
 def make_experts(cfg: DictConfig, objects) -> dict[str, ExpertPolicy]:
     """The experts of conf/expert that `experts` names."""
-    found = {}
-    for name in cfg.experts:
-        file = _CONF / f"{name}.yaml"
-        if not file.is_file():
-            known = ", ".join(sorted(each.stem for each in _CONF.glob("*.yaml")))
-            raise ConfigError(f"experts names {name!r}: choose from {known}.")
-        found[name] = instantiate(
-            OmegaConf.load(file), objects, horizon=cfg.env.horizon, action_space=common.make_actions(cfg)
-        )
-    return found
+    known = sorted(file.stem for file in (_CONF / "expert").glob("*.yaml"))
+    if isinstance(cfg.experts, str) or not set(cfg.experts) <= set(known):
+        raise ConfigError(f"experts={cfg.experts}: give a list of some of {', '.join(known)}.")
+    options = {"horizon": cfg.env.horizon, "action_space": common.make_actions(cfg)}
+    return {name: instantiate(_compose(name), objects, **options) for name in cfg.experts}
+
+
+def _compose(name: str) -> DictConfig:
+    """conf/expert/<name>.yaml with its defaults."""
+    with initialize_config_dir(str(_CONF), version_base=None):
+        return compose("benchmark", [f"expert={name}"]).expert
 
 
 def benchmark_planner(cfg: DictConfig) -> dict:
@@ -56,6 +58,7 @@ def benchmark_planner(cfg: DictConfig) -> dict:
     for name, expert in make_experts(cfg, env.objects).items():
         row = _time_plans(expert, env, scenes, cfg.env.horizon)
         row |= _follow(cfg, name, expert, env)
+        row["label_off_path_milliseconds"] = _time_corrections(cfg, expert, env)
         row |= _compare_neighbours(expert, scenes, cfg.env.horizon)
         rows[name] = row
         _print_row(name, row)
@@ -66,7 +69,8 @@ def _print_row(name: str, row: dict) -> None:
     low, high = (100 * bound for bound in row["success_ci95"])
     median, p95 = row["plan_median_milliseconds"], row["plan_p95_milliseconds"]
     print(
-        f"{name:18s} plan {median:.1f} ms (95 %: {p95:.1f}), label {row['label_milliseconds']:.2f} ms, "
+        f"{name:18s} plan {median:.1f} ms (95 %: {p95:.1f}), label {row['label_milliseconds']:.2f} ms "
+        f"(off its path {row['label_off_path_milliseconds']:.1f}), "
         f"success {100 * row['success_rate']:.1f} % [{low:.1f}, {high:.1f}]"
     )
     median, p95 = row["neighbour_ratio_median"], row["neighbour_ratio_p95"]
@@ -118,6 +122,18 @@ def _follow(cfg: DictConfig, name: str, expert: ExpertPolicy, env: GraspEnv) -> 
         "label_milliseconds": 1e3 * float(np.sum(spent)) / (len(spent) * env.num_envs),
         **{key: summary[key] for key in ("success_rate", "success_ci95", "episodes")},
     }
+
+
+def _time_corrections(cfg: DictConfig, expert: ExpertPolicy, env: GraspEnv) -> float:
+    """Milliseconds of a label where another acts: the expert's action, disturbed at every step."""
+    env.start_episodes_at([10_000] * env.num_envs)
+    disturb, spent = Disturb(probability=1.0, until=0.0), []
+    for _ in range(max(1, cfg.episodes // (4 * env.num_envs))):
+        state = env.reset()
+        for _ in range(cfg.env.horizon):
+            spent.append(_seconds(expert, state))
+            state = env.step(disturb(state))["next"]
+    return 1e3 * float(np.sum(spent)) / (len(spent) * env.num_envs)
 
 
 def _compare_neighbours(expert: ExpertPolicy, scenes: list[Scene], horizon: int) -> dict:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Real
+from numbers import Integral, Real
 
 
 class TorchgraspError(Exception):
@@ -23,6 +23,12 @@ class CheckpointError(TorchgraspError):
 
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
+
+
+def check_whole(name: str, value: int, low: int) -> None:
+    """Raise ConfigError unless `value` is a whole number of at least `low`."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < low:
+        raise ConfigError(f"{name}={value!r}: give a whole number of at least {low}.")
 
 
 def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:

@@ -7,17 +7,19 @@ import torch
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import action_to_pose, goal_to_pose
+from torchgrasp.objectives.functional import action_distance
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import (
     ExpertPolicy,
     Funnel,
     FunnelPlanner,
     PathFollower,
+    PlanStatus,
     StraightPlanner,
     TrajectoryPlanner,
 )
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
-from torchgrasp.sim.kinematics import forward_kinematics
+from torchgrasp.sim.kinematics import READY_POSTURE, forward_kinematics, sample_postures
 
 OBJECTS = ProceduralObjects("train", num_objects=8, num_grasps=200)
 HORIZON = 30
@@ -153,3 +155,34 @@ def test_labels_stay_inside_the_bounds_however_far_the_path_is():
     assert labels["has_expert"].all()
     action = labels["expert_action"]
     assert action[:, :3].norm(dim=-1).max() <= 0.0551 and action[:, 3:].abs().max() <= 0.46
+
+
+def test_an_expert_that_found_no_way_asks_again_some_steps_later():
+    env = make_env(1)
+    expert = ExpertPolicy(OBJECTS, horizon=HORIZON)
+    state = env.reset()
+    inside = forward_kinematics(READY_POSTURE[None])[0]
+    inside[:3, 3] = state["T_base_object"][0, :3, 3].numpy()
+    inside[2, 3] += 0.02
+    stuck = state.clone()
+    stuck["joints"][0, :7] = torch.from_numpy(sample_postures(inside, READY_POSTURE)[0])
+    stuck["T_base_ee"][0] = torch.from_numpy(inside)
+    assert not expert(stuck)["has_expert"].any() and expert.reasons == [PlanStatus.START]
+    found = []
+    for steps_left in (29, 28, 27, 26):
+        state["time_left"] = torch.full((1, 1), steps_left / HORIZON)
+        found.append(bool(expert(state.clone())["has_expert"]))
+    assert found == [False, False, True, True]
+
+
+def test_neighbouring_states_get_neighbouring_labels_when_each_is_planned_for_anew():
+    env = make_env(8)
+    state = env.reset()
+    near = state.clone()
+    joints = near["joints"].clone()
+    joints[:, :7] += 0.002
+    near["joints"] = joints
+    hand = torch.from_numpy(forward_kinematics(joints[:, :7].double().numpy())).float()
+    near["T_base_ee"] = hand
+    labels = [ExpertPolicy(OBJECTS, horizon=HORIZON)(each)["expert_action"] for each in (state, near)]
+    assert action_distance(*labels).median() < 0.003

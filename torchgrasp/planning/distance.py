@@ -14,7 +14,7 @@ from torchgrasp.sim.kinematics import Array
 _SPACING = 0.0125  # metres between grid points
 _MARGIN = 0.11  # metres around the object that the grid covers
 _SAMPLES = 3000  # of the surface
-_MAX_FIELDS = 128
+_MAX_FIELDS = 2048  # of some 60 kB
 _fields: dict[str, DistanceField] = {}
 
 
@@ -25,41 +25,39 @@ class DistanceField:
     Attributes:
         origin: (3,) the grid's first point.
         values: (X, Y, Z) float32 distances.
-        slopes: (X, Y, Z, 3) float32 gradients.
         radius: of the ball about the frame's origin that holds the object, metres.
     """
 
     origin: Array
     values: np.ndarray
-    slopes: np.ndarray
     radius: float
 
     def sample(self, points: Array) -> tuple[Array, Array]:
-        """(N,) distances and (N, 3) gradients at (N, 3) points, trilinear.
+        """(N,) distances and (N, 3) gradients at (N, 3) points, of the trilinear interpolation.
 
         Outside the grid its nearest value is taken, and the way to it added.
         """
         at = (points - self.origin) / _SPACING
-        top = np.array(self.values.shape) - 1.001
-        inside = np.clip(at, 0.0, top)
+        _, ny, nz = self.values.shape
+        inside = np.clip(at, 0.0, np.array(self.values.shape) - 1.001)
         low = inside.astype(np.int64)
-        share = inside - low
-        shape = self.values.shape
-        base = (low[:, 0] * shape[1] + low[:, 1]) * shape[2] + low[:, 2]
+        x, y, z = (inside - low).T
+        corner = (low[:, 0] * ny + low[:, 1]) * nz + low[:, 2]
         flat = self.values.reshape(-1)
-        distance = np.zeros(len(points))
-        for i, x in enumerate((1.0 - share[:, 0], share[:, 0])):
-            for j, y in enumerate((1.0 - share[:, 1], share[:, 1])):
-                row = base + (i * shape[1] + j) * shape[2]
-                between = flat[row] * (1.0 - share[:, 2]) + flat[row + 1] * share[:, 2]
-                distance += x * y * between
-        distance += _SPACING * np.linalg.norm(at - inside, axis=-1)
-        nearest = base + ((share[:, 0] > 0.5) * shape[1] + (share[:, 1] > 0.5)) * shape[2]
-        return distance, self.slopes.reshape(-1, 3)[nearest + (share[:, 2] > 0.5)]
+        (a, b), (c, d) = ([flat[corner + (i * ny + j) * nz] for j in (0, 1)] for i in (0, 1))
+        (e, f), (g, h) = ([flat[corner + (i * ny + j) * nz + 1] for j in (0, 1)] for i in (0, 1))
+        along_z = [top - bottom for bottom, top in ((a, e), (b, f), (c, g), (d, h))]
+        a, b, c, d = (v + z * w for v, w in zip((a, b, c, d), along_z, strict=True))
+        near, far = a + y * (b - a), c + y * (d - c)
+        p, q, r, s = along_z
+        rise = (p + y * (q - p)) * (1.0 - x) + (r + y * (s - r)) * x
+        slope = np.stack((far - near, (b - a) * (1.0 - x) + (d - c) * x, rise), axis=-1) / _SPACING
+        beyond = np.linalg.norm(at - inside, axis=-1)
+        return near + x * (far - near) + _SPACING * beyond, slope
 
 
 def distance_field(target: GraspObject) -> DistanceField:
-    """The field of an object; those of the last 128 objects are kept."""
+    """The field of an object; those of the last 2048 objects are kept."""
     field = _fields.pop(target.content_hash, None) or _build(target)
     _fields[target.content_hash] = field
     if len(_fields) > _MAX_FIELDS:
@@ -80,6 +78,5 @@ def _build(target: GraspObject) -> DistanceField:
     covered = inside[depth_in_parts(points[inside], target.parts) > 0.0]
     distance[covered] *= -1.0
     values = distance.reshape(grid.shape[:3]).astype(np.float32)
-    slopes = np.stack(np.gradient(values, _SPACING), axis=-1).astype(np.float32)
     radius = float(np.linalg.norm(vertices, axis=-1).max())
-    return DistanceField(low, values, slopes, radius)
+    return DistanceField(low, values, radius)

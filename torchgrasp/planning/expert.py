@@ -26,8 +26,11 @@ from torchgrasp.sim.kinematics import Array
 
 # An object that moved further than this since its plan was made is planned for again.
 _MOVED, _TURNED = 0.02, 0.25
+# What may be otherwise a few steps on, asked again after so many; steps_left that no episode has.
+_MAY_PASS = (PlanStatus.BLOCKED, PlanStatus.STEPS, PlanStatus.TIME, PlanStatus.START)
+_PATIENCE, _NEVER = 3, 1_000_000
 # Where another planner may still find a way.
-_HOPEFUL = (PlanStatus.BLOCKED, PlanStatus.STEPS, PlanStatus.TIME)
+_HOPEFUL = (PlanStatus.BLOCKED, PlanStatus.STEPS)
 
 
 @dataclass
@@ -42,6 +45,7 @@ class _Pursuit:
     planned_at: int
     steps_left: int
     chosen: int = -1
+    failed_at: int = _NEVER
 
     def is_of(self, episode: tuple[int, int], steps_left: int) -> bool:
         """Whether it is of this episode, in which time ran down since."""
@@ -68,7 +72,7 @@ class ExpertPolicy(TensorDictModuleBase):
 
     Along a path the goal is the grasp that it ends at, and a hand that was led astray gets a new path. A
     law that may go for any grasp goes for the nearest by L_POSE among those that the planner found; the
-    one pursued is kept until another is nearer by `loyalty`. Where there is no grasp to be had,
+    one pursued is kept until another is nearer by `GoalChoice.loyalty`. Where there is no grasp to be had,
     HAS_EXPERT and HAS_GOAL are false, both labels are zero, and PLAN_STATUS tells why.
 
     Worlds are told apart by WORLD, wherever in the batch they stand, and a new episode by EPISODE or by
@@ -83,7 +87,6 @@ class ExpertPolicy(TensorDictModuleBase):
         fallback: asked where the planner finds no way, above all for a learner that is late; its plans are
             followed by the law that is its own. By default a `FunnelPlanner` where no planner is given.
         action_space: the environment's, in which labels are given.
-        loyalty: metres of L_POSE by which another grasp must be nearer.
         execute: also write the label as ACTION; False where another policy acts.
     """
 
@@ -96,7 +99,6 @@ class ExpertPolicy(TensorDictModuleBase):
         law: Law | None = None,
         fallback: Planner | None = None,
         action_space: ActionSpace | None = None,
-        loyalty: float = 0.01,
         execute: bool = True,
     ) -> None:
         super().__init__()
@@ -111,7 +113,6 @@ class ExpertPolicy(TensorDictModuleBase):
         if not self.law.any_goal and not self.planner.gives_path:
             raise ConfigError("expert.law follows a path, but expert.planner has none: give prove=True.")
         self.actions = action_space or EeDelta()
-        self.loyalty = loyalty
         self.in_keys = list(STATE_KEYS)
         labels = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL, keys.PLAN_STATUS]
         self.out_keys = [*labels, keys.ACTION] if execute else labels  # pyright: ignore
@@ -153,18 +154,25 @@ class ExpertPolicy(TensorDictModuleBase):
         if pursuit is not None and pursuit.goes_on(episode, T_base_object, steps_left):
             pursuit.steps_left = steps_left
             course = self._choose(pursuit, target, T_base_ee, T_base_object)
-            if course is None or not pursuit.law.is_lost(T_base_ee, course):
+            content = course is not None and not pursuit.law.is_lost(T_base_ee, course)
+            if content or pursuit.failed_at - steps_left < _PATIENCE:
                 return course
         known = pursuit is not None and pursuit.is_of(episode, steps_left)
         pursued = pursuit.pursued if pursuit is not None and known else -1
         plan, law = self._plan(target, T_base_object, states.q[row], steps_left, pursued)
         if not plan.ok and pursuit is not None and known and pursuit.plan.ok:
             # Late in an episode there is often no new way: better the grasps known than none.
-            pursuit.T_base_object, pursuit.steps_left = T_base_object, steps_left
+            pursuit.T_base_object, pursuit.steps_left, pursuit.failed_at = (
+                T_base_object,
+                steps_left,
+                steps_left,
+            )
             return self._choose(pursuit, target, T_base_ee, T_base_object)
         pursuit = self._pursuits[world] = _Pursuit(
             episode, T_base_object, T_base_object, plan, law, steps_left, steps_left
         )
+        if not plan.ok:
+            pursuit.failed_at = steps_left if plan.status in _MAY_PASS else -_NEVER
         return self._choose(pursuit, target, T_base_ee, T_base_object)
 
     def _plan(
@@ -172,10 +180,11 @@ class ExpertPolicy(TensorDictModuleBase):
     ) -> tuple[Plan, Law]:
         """The planner's plan, or the fallback's where that has none, and the law that goes with it."""
         scene = (target, T_base_object, q, steps_left, self.horizon)
-        plan = self.planner.plan(*scene, pursued=pursued)
+        period = self.actions.control_period
+        plan = self.planner.plan(*scene, pursued=pursued, control_period=period)
         if self.fallback is None or self._fallback_law is None or plan.status not in _HOPEFUL:
             return plan, self.law
-        other = self.fallback.plan(*scene, pursued=pursued)
+        other = self.fallback.plan(*scene, pursued=pursued, control_period=period)
         if other.ok:
             return other, self._fallback_law
         return plan, self.law
@@ -192,7 +201,8 @@ class ExpertPolicy(TensorDictModuleBase):
             return pursuit.course(grasps[plan.chosen], T_base_object)
         cost = pose_distances(T_base_ee, grasps) + plan.penalty
         if pursuit.chosen >= 0:
-            cost[pursuit.chosen] -= self.loyalty
+            planner = self.planner if pursuit.law is self.law else self.fallback
+            cost[pursuit.chosen] -= (planner or self.planner).choice.loyalty
         pursuit.chosen = int(np.argmin(cost))
         return pursuit.course(grasps[pursuit.chosen], T_base_object)
 

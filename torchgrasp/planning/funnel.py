@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from torchgrasp.errors import check_range
-from torchgrasp.planning.law import Course, Law
+from torchgrasp.planning.law import Course, Law, steps_after
 from torchgrasp.sim.kinematics import Array
 
 
@@ -76,8 +76,8 @@ class Funnel(Law):
 
         late = steps_left - 1
         least = np.minimum(self.settle, steps_left)
-        steps = np.maximum(least, steps_left - np.floor((1 - self.arrive) * horizon))
-        steps_turning = np.maximum(least, steps_left - np.floor((1 - self.align) * horizon))
+        steps = np.maximum(least, steps_left - steps_after(self.arrive, horizon))
+        steps_turning = np.maximum(least, steps_left - steps_after(self.align, horizon))
         position = self._move(position, angle, steps, late)
         share = np.minimum(1.0 / steps_turning, self.max_rotation / np.maximum(angle, 1e-9))
         rotation = Rotation.from_rotvec(turn * (1 - share)[:, None]).as_matrix()

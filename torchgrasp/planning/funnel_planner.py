@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from torchgrasp.errors import check_range
+from torchgrasp.errors import check_range, check_whole
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
 from torchgrasp.planning.driven import drive_along
@@ -29,19 +29,20 @@ class FunnelPlanner(Planner):
         choice: which grasps are goals.
         num_rollouts: how many goals are rolled out at once, until one way is free.
         blocked: penalty of a grasp whose way was found blocked from the start, metres of L_POSE.
-        budget: seconds after which no further way is tried; a plan that runs into it is not repeatable.
+        budget: seconds after which no further way is tried; a plan that is cut short by it is not repeatable.
         prove: False takes the goal set as it is, without a rollout, as an ablation.
     """
 
     funnel: Funnel = field(default_factory=Funnel)
-    choice: GoalChoice = field(default_factory=GoalChoice)
+    choice: GoalChoice = field(default_factory=lambda: GoalChoice(max_reached=48, loyalty=0.01))
     num_rollouts: int = 4
     blocked: float = 0.25
-    budget: float = 2.0
+    budget: float = np.inf
     prove: bool = True
 
     def __post_init__(self) -> None:
-        check_range("funnel_planner.num_rollouts", self.num_rollouts, 1, np.inf)
+        check_whole("funnel_planner.num_rollouts", self.num_rollouts, 1)
+        check_range("funnel_planner.blocked", self.blocked, 0.0, np.inf)
         check_range("funnel_planner.budget", self.budget, 0.0, np.inf)
 
     @property
@@ -51,7 +52,7 @@ class FunnelPlanner(Planner):
 
     def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
         """See `Planner.find_way`."""
-        target, q, cost = query.target, query.q, self.cost(query, grasps)
+        target, q, cost = query.target, query.q, self.choice.cost(query.target, grasps)
         clearance = Clearance.of(target, query.T_base_object)
         if starts_inside(target, query.T_base_object, q, clearance):
             return Plan(PlanStatus.START)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchgrasp.errors import check_range, check_whole
 from torchgrasp.geometry import gripper_control_points
 from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.objects.model import GraspObject
@@ -33,8 +34,8 @@ class GoalChoice:
         clearance: metres above the table from which on the hand's height no longer counts.
         clearance_weight: metres of L_POSE that a metre less than `clearance` costs: a learner, which
             sees no table, must be taught to stay off it.
-        loyalty: metres of L_POSE by which another grasp must be cheaper than the one pursued so far when a
-            plan is made anew: labels that change their mind teach nothing.
+        loyalty: metres of L_POSE by which another grasp must be cheaper than the one pursued so far: labels
+            that change their mind teach nothing.
         max_reached: how many of the nearest grasps are solved for the arm.
     """
 
@@ -42,7 +43,12 @@ class GoalChoice:
     clearance: float = 0.03
     clearance_weight: float = 2.0
     loyalty: float = 0.1
-    max_reached: int = 48
+    max_reached: int = 16
+
+    def __post_init__(self) -> None:
+        for name in ("quality_weight", "clearance", "clearance_weight", "loyalty"):
+            check_range(f"choice.{name}", getattr(self, name), 0.0, np.inf)
+        check_whole("choice.max_reached", self.max_reached, 1)
 
     def choose(
         self, target: GraspObject, T_base_object: Array, q: Array, pursued: int = -1

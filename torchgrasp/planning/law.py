@@ -14,6 +14,11 @@ from torchgrasp.planning.plan import Plan
 from torchgrasp.sim.kinematics import Array, pose_error
 
 
+def steps_after(share: float, horizon: int) -> int:
+    """Control steps of `horizon` that are left after a share of it."""
+    return int(np.floor((1.0 - share) * horizon + 1e-9))
+
+
 @dataclass(frozen=True)
 class Course:
     """What is pursued in one world.

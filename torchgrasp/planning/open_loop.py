@@ -126,7 +126,8 @@ class OpenLoopPolicy(TensorDictModuleBase):
             if self.pose_noise is not None:
                 seen = self.pose_noise.perceive(seen, self._generators(tensordict, [row])[0])
             steps = min(self.steps, steps_left)
-            plan = self.planner.plan(self.objects[episode[0]], seen, states.q[row], steps, steps)
+            scene = (self.objects[episode[0]], seen, states.q[row], steps, steps)
+            plan = self.planner.plan(*scene, control_period=self.actions.control_period)
             execution = self._executions[world] = _Execution(
                 episode, T_base_object, steps_left, plan, steps_left
             )

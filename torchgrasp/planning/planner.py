@@ -6,10 +6,9 @@ import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.goals import GoalChoice
+from torchgrasp.planning.law import steps_after
 from torchgrasp.planning.plan import Plan, PlanStatus
 from torchgrasp.sim.kinematics import Array
 from torchgrasp.sim.reach import ReachableGrasps
@@ -26,6 +25,7 @@ class Query:
         steps_left: control steps until the fingers close.
         horizon: control steps of the whole episode.
         pursued: row of the object's grasp set that was gone for so far, -1 for none.
+        control_period: seconds of a control step.
         started: reading of `time.perf_counter`.
     """
 
@@ -35,11 +35,12 @@ class Query:
     steps_left: int
     horizon: int
     pursued: int
+    control_period: float
     started: float
 
     def steps_to_arrive(self, share: float) -> int:
         """Control steps until a share of the horizon is over, at least 1."""
-        return max(1, self.steps_left - int(np.floor((1 - share) * self.horizon)))
+        return max(1, self.steps_left - steps_after(share, self.horizon))
 
 
 class Planner(ABC):
@@ -65,6 +66,7 @@ class Planner(ABC):
         horizon: int,
         *,
         pursued: int = -1,
+        control_period: float = 0.15,
     ) -> Plan:
         """Plan for an arm that stands at q with `steps_left` of `horizon` steps to go.
 
@@ -76,12 +78,13 @@ class Planner(ABC):
             horizon: control steps of the whole episode.
             pursued: row of the object's grasp set that was gone for so far, -1 for none: it is preferred by
                 `GoalChoice.loyalty`.
+            control_period: seconds of a control step, in which joints turn no further than they may.
 
         Returns:
             A plan, whose status tells why where there is none; never raises for an unlucky scene.
         """
         started = time.perf_counter()
-        query = Query(target, T_base_object, q, steps_left, horizon, pursued, started)
+        query = Query(target, T_base_object, q, steps_left, horizon, pursued, control_period, started)
         status, grasps = self.choice.choose(target, T_base_object, q, pursued)
         plan = self.find_way(query, grasps) if status is PlanStatus.OK else Plan(status)
         return replace(plan, seconds=time.perf_counter() - started)
@@ -89,7 +92,3 @@ class Planner(ABC):
     @abstractmethod
     def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
         """The plan, but for its time, where there is a goal set: K > 0 `grasps`, the cheapest first."""
-
-    def cost(self, query: Query, grasps: ReachableGrasps) -> Array:
-        """(K,) metres of L_POSE that grasps cost whatever the way to them."""
-        return self.choice.cost(query.target, grasps, query.pursued)

@@ -23,13 +23,11 @@ class StraightPlanner(Planner):
         choice: which grasp is the best.
         standoff: metres before the grasp that the way goes through; 0 for none.
         arrive: share of the horizon after which the hand is at the grasp.
-        control_period: seconds of a control step.
     """
 
     choice: GoalChoice = field(default_factory=lambda: GoalChoice(max_reached=1))
     standoff: float = 0.08
     arrive: float = 0.85
-    control_period: float = 0.15
 
     def __post_init__(self) -> None:
         check_range("straight_planner.standoff", self.standoff, 0.0, 0.3)
@@ -42,10 +40,14 @@ class StraightPlanner(Planner):
             before = goal.copy()
             before[:3, 3] -= self.standoff * before[:3, 2]
             way += list(kinematics.sample_postures(before, query.q)[:1])
-        way.append(kinematics.sample_postures(goal, way[-1])[0])
+        # The null space is searched around a posture: what is found around one may be missed around another.
+        last = (*kinematics.sample_postures(goal, way[-1]), *kinematics.sample_postures(goal, query.q))
+        if not last:
+            return Plan(PlanStatus.REACH)
+        way.append(last[0])
         steps = query.steps_to_arrive(self.arrive)
-        path = pace(np.array(way), steps, self.control_period, at_most=query.steps_left)
+        path = pace(np.array(way), steps, query.control_period, at_most=query.steps_left)
         if path is None:
             return Plan(PlanStatus.STEPS)
         poses = kinematics.forward_kinematics(path)
-        return Plan(PlanStatus.OK, grasps, self.cost(query, grasps), 0, path, poses)
+        return Plan(PlanStatus.OK, grasps, self.choice.cost(query.target, grasps), 0, path, poses)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchgrasp.errors import check_range
+from torchgrasp.errors import check_range, check_whole
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, Array
 
@@ -28,7 +28,6 @@ class TrajectoryOptimizer:
         clearance_weight: of the clearance's cost against a squared radian of detour.
         keep: share of the goals that goes on after each `prune_every` iterations.
         prune_every: iterations between two prunings.
-        tolerance: metres of penetration of the spheres, which are rounder than the arm, that pass.
     """
 
     num_points: int = 12
@@ -37,11 +36,11 @@ class TrajectoryOptimizer:
     clearance_weight: float = 2.0
     keep: float = 0.5
     prune_every: int = 6
-    tolerance: float = 0.0
 
     def __post_init__(self) -> None:
-        check_range("trajectory.num_points", self.num_points, 1, np.inf)
-        check_range("trajectory.iterations", self.iterations, 0, np.inf)
+        for name, low in (("num_points", 1), ("iterations", 0), ("prune_every", 1)):
+            check_whole(f"trajectory.{name}", getattr(self, name), low)
+        check_range("trajectory.clearance_weight", self.clearance_weight, 0.0, np.inf)
         check_range("trajectory.step", self.step, 0.0, 1.0)
         check_range("trajectory.keep", self.keep, 0.0, 1.0, open_low=True)
 
@@ -102,7 +101,7 @@ class TrajectoryOptimizer:
         dense = dense.reshape(len(alive), -1, 7)[:, 1:]
         nearest = clearance.distances(dense.reshape(-1, 7)).reshape(len(alive), -1)
         # An arm that touches where it stands may not get deeper.
-        limit = min(-self.tolerance, float(clearance.distances(paths[:1, 0])[0]) - 1e-3)
+        limit = min(0.0, float(clearance.distances(paths[:1, 0])[0]) - 1e-3)
         clear = alive[(nearest > limit).all(axis=-1)]
         order = np.argsort(_length(paths[clear]) + toll[clear], kind="stable")
         return clear[order], paths[clear[order]]

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
@@ -41,6 +41,11 @@ class _Goals:
     toll: Array
     q: Array
 
+    def of(self, row: int) -> _Goals:
+        """Those of one grasp."""
+        mine = self.row == row
+        return _Goals(self.row[mine], self.toll[mine], self.q[mine])
+
 
 @dataclass(frozen=True)
 class TrajectoryPlanner(Planner):
@@ -57,11 +62,10 @@ class TrajectoryPlanner(Planner):
         arrive: share of the horizon after which the hand is at the grasp, as the funnel's.
         num_steps: ``fixed`` spreads the path over the steps left; ``free`` takes as few as the arm's
             speed and the actions' bounds allow.
-        budget: seconds after which no new path is tried; a plan that runs into it is not repeatable.
-        control_period: seconds of a control step.
+        budget: seconds after which no new path is tried; a plan that is cut short by it is not repeatable.
     """
 
-    choice: GoalChoice = field(default_factory=lambda: GoalChoice(max_reached=16))
+    choice: GoalChoice = field(default_factory=GoalChoice)
     optimizer: TrajectoryOptimizer = field(default_factory=TrajectoryOptimizer)
     standoff: float = 0.08
     approach_points: int = 4
@@ -70,15 +74,15 @@ class TrajectoryPlanner(Planner):
     toll: float = 4.0
     arrive: float = 0.85
     num_steps: Literal["fixed", "free"] = "fixed"
-    budget: float = 2.0
-    control_period: float = 0.15
+    budget: float = np.inf
 
     def __post_init__(self) -> None:
         check_range("trajectory_planner.standoff", self.standoff, 0.0, 0.3)
         check_range("trajectory_planner.arrive", self.arrive, 0.0, 1.0, open_low=True)
-        check_range("trajectory_planner.budget", self.budget, 0.0, np.inf)
+        for name in ("budget", "toll"):
+            check_range(f"trajectory_planner.{name}", getattr(self, name), 0.0, np.inf)
         for name in ("approach_points", "postures", "num_goals"):
-            check_range(f"trajectory_planner.{name}", getattr(self, name), 1, np.inf)
+            check_whole(f"trajectory_planner.{name}", getattr(self, name), 1)
         if self.num_steps not in ("fixed", "free"):
             raise ConfigError(f"trajectory_planner.num_steps={self.num_steps!r}: give fixed or free.")
 
@@ -87,33 +91,38 @@ class TrajectoryPlanner(Planner):
         target, clearance = query.target, Clearance.of(query.target, query.T_base_object)
         if starts_inside(target, query.T_base_object, query.q, clearance):
             return Plan(PlanStatus.START)
-        # A late hand may take the steps that are kept in reserve, a free one as many as it needs.
-        steps, at_most = query.steps_to_arrive(self.arrive), query.steps_left
-        if self.num_steps == "free":
-            steps, at_most = 1, None
-        cost, hurried = self.cost(query, grasps), False
-        goals = self._solve(grasps, cost, query.q)
-        for standoff in self._standoffs(at_most):
-            for row, way in self._optimized(query, grasps, goals, clearance, standoff):
-                path = pace(way, steps, self.control_period, at_most=at_most)
+        # A late hand may take the steps that are kept in reserve.
+        steps = query.steps_to_arrive(self.arrive) if self.num_steps == "fixed" else 1
+        hurried = False
+        goals = self._solve(query, grasps)
+        for standoff, part in self._attempts(query, grasps, goals):
+            for row, way in self._optimized(query, grasps, part, clearance, standoff):
+                path = pace(way, steps, query.control_period, at_most=query.steps_left)
                 hurried |= path is None
                 proved = None if path is None else self._prove(target, query.T_base_object, path, clearance)
                 if proved is not None:
-                    return Plan(PlanStatus.OK, grasps, cost, row, *proved)
-            if not hurried:
-                break
+                    penalty = self.choice.cost(target, grasps)
+                    return Plan(PlanStatus.OK, grasps, penalty, row, *proved)
         if time.perf_counter() - query.started > self.budget:
             return Plan(PlanStatus.TIME)
         return Plan(PlanStatus.STEPS if hurried else PlanStatus.BLOCKED)
 
-    def _standoffs(self, at_most: int | None) -> tuple[float, ...]:
-        """Standoffs to try in turn: a late hand has no steps for the whole way back and in again."""
-        if at_most is None or _RETREAT * at_most >= self.standoff:
-            return (self.standoff,)
-        return _RETREAT * at_most, _RETREAT * at_most / 4
+    def _attempts(
+        self, query: Query, grasps: ReachableGrasps, goals: _Goals
+    ) -> Iterator[tuple[float, _Goals]]:
+        """Standoffs and goals to try in turn, until a way is found."""
+        standoff = min(self.standoff, _RETREAT * query.steps_left)
+        if grasps.index[0] == query.pursued:
+            # Still the cheapest: most often its way is clear, and the others need not be asked.
+            yield standoff, goals.of(0)
+        yield standoff, goals
+        if standoff < self.standoff:
+            # A late hand may have no steps for the whole way back and in again.
+            yield standoff / 4, goals
 
-    def _solve(self, grasps: ReachableGrasps, cost: Array, q: Array) -> _Goals:
+    def _solve(self, query: Query, grasps: ReachableGrasps) -> _Goals:
         """Postures of the grasps, ranked by their toll and the straight way to them in joint space."""
+        q, cost = query.q, self.choice.cost(query.target, grasps, query.pursued)
         found = [kinematics.sample_postures(pose, q)[: self.postures] for pose in grasps.T_base_ee]
         rows = np.repeat(np.arange(len(grasps)), [len(postures) for postures in found])
         postures, toll = np.concatenate(found), self.toll * cost[rows]

@@ -28,11 +28,18 @@ class ActionSpace(ABC):
     A posture that would put the hand into the table is raised: the controller knows its table, as a
     real one's workspace limits do, and a policy sees nothing of it.
 
+    Args:
+        control_period: seconds a step lasts.
+
     Attributes:
         bound: largest magnitude of each component.
+        control_period: seconds a step lasts.
     """
 
     bound: tuple[float, ...]
+
+    def __init__(self, control_period: float = 0.15) -> None:
+        self.control_period = control_period
 
     @property
     def size(self) -> int:
@@ -72,7 +79,8 @@ class JointDelta(ActionSpace):
         control_period: seconds a step lasts; the bound is what a joint turns in it at its full speed.
     """
 
-    def __init__(self, control_period: float) -> None:
+    def __init__(self, control_period: float = 0.15) -> None:
+        super().__init__(control_period)
         self.bound = tuple((kinematics.JOINT_VELOCITY * control_period).tolist())
 
     def posture(self, q: Array, T_base_ee: Array, action: Array) -> Array:
@@ -98,24 +106,23 @@ class JointVelocity(JointDelta):
         control_period: seconds a step lasts.
     """
 
-    def __init__(self, control_period: float) -> None:
+    def __init__(self, control_period: float = 0.15) -> None:
         super().__init__(control_period)
         self.bound = tuple(kinematics.JOINT_VELOCITY.tolist())
-        self._seconds = control_period
 
     def posture(self, q: Array, T_base_ee: Array, action: Array) -> Array:
         """See `ActionSpace.posture`."""
-        return super().posture(q, T_base_ee, action * self._seconds)
+        return super().posture(q, T_base_ee, action * self.control_period)
 
     def action_towards(self, q: Array, T_base_ee: Array, T_base_target: Array) -> Array:
         """See `ActionSpace.action_towards`."""
-        return super().action_towards(q, T_base_ee, T_base_target) / self._seconds
+        return super().action_towards(q, T_base_ee, T_base_target) / self.control_period
 
 
 def make_action_space(name: ActionSpaceName, *, control_period: float = 0.15) -> ActionSpace:
     """The action space of that name; `control_period` is the physics', seconds."""
     if name == "ee_delta":
-        return EeDelta()
+        return EeDelta(control_period)
     if name == "joint_delta":
         return JointDelta(control_period)
     if name == "joint_velocity":
