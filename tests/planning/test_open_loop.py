@@ -34,8 +34,8 @@ def roll_out(env: GraspEnv, policy) -> TensorDict:
 class Recorder(TrajectoryPlanner):
     """The real planner, which keeps what it was asked and what it answered."""
 
-    def plan(self, *question):
-        answer = super().plan(*question)
+    def plan(self, *question, **options):
+        answer = super().plan(*question, **options)
         self.__dict__.setdefault("asked", []).append((question, answer))
         return answer
 
