@@ -1,5 +1,6 @@
 """Minari datasets, written and read by Minari itself."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -220,7 +221,33 @@ def test_the_command_checks_exports_and_imports(demonstrations, tmp_path, capsys
     assert main(["dataset", path]) == 1
     assert "goal.memmap has 0 bytes" in capsys.readouterr().err
     assert main(["dataset", path, "--drop-damaged"]) == 0
+    assert "shard_00001 deleted" in capsys.readouterr().out
     assert main(["dataset", path]) == 0
+
+
+def test_the_command_takes_a_kind_with_an_import_alone(demonstrations, tmp_path, capsys):
+    path, dataset = str(demonstrations.path), str(tmp_path / "my-video")
+    assert main(["dataset", path, "--export", dataset]) == 0
+    assert "my-video" in capsys.readouterr().out
+    assert main(["dataset", str(tmp_path / "back"), "--import", dataset, "--kind", "learner"]) == 0
+    card = open_demonstrations(tmp_path / "back").card
+    assert card["kind"] == card["provenance"]["kind"] == "learner"
+    assert card["provenance"]["imported_from"] == "my-video-v0"
+    for wrong, told in [
+        (["--kind", "learner"], "goes with --import alone"),
+        (["--export", ""], "'' is no id"),
+    ]:
+        assert main(["dataset", path, *wrong]) == 1
+        assert told in capsys.readouterr().err
+    assert main(["dataset", str(tmp_path / "new"), "--import", ""]) == 1
+    assert "'' is no id" in capsys.readouterr().err
+
+
+def test_a_reader_that_has_had_enough_is_no_error(demonstrations):
+    command = [sys.executable, "-m", "torchgrasp", "dataset", str(demonstrations.path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert process.wait(60) == 1 and process.stderr.read() == ""
 
 
 def test_without_minari_one_line_tells_what_to_install(demonstrations, monkeypatch, capsys):
