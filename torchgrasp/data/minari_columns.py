@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchgrasp.errors import ConfigError
 
-Signature = dict[Any, tuple[tuple[int, ...], torch.dtype]]
+Signature = dict[Any, tuple[tuple[int, ...], Any]]
 
 
 def read_column(
