@@ -18,7 +18,7 @@ import policies
 import settings
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from origin import DISTURBANCE, SHARD_ROUNDS, SHARED, check_learner, check_origin, describe_origin
+from origin import SHARD_ROUNDS, SHARED, check_enough, check_learner, check_origin, describe_origin
 from tensordict.nn import TensorDictSequential
 
 from torchgrasp.data import append_shard, begin_demonstrations, count_shards, open_demonstrations
@@ -44,8 +44,7 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
     counted = COUNTED[resolve_count(demos.count, demos.kind)]
     card = begin_demonstrations(path, kind=demos.kind, provenance=origin)
     check_origin(origin, path, card)
-    done = count_shards(path)
-    if done:
+    if done := count_shards(path):
         card = open_demonstrations(path).card
     progress = Progress(
         demos.steps, initial=min(demos.steps, card[counted]), description=f"{demos.kind} steps", unit="step"
@@ -101,8 +100,8 @@ def make_collector(cfg: DictConfig) -> TensorDictSequential:
             modules.append(instantiate(cfg.collector.expert_start))
         return TensorDictSequential(*modules)
     modules = [common.make_expert(cfg, "train")]
-    if kind in DISTURBANCE:
-        modules.append(instantiate(cfg.collector[DISTURBANCE[kind]]))
+    if kind in settings.DISTURBANCE:
+        modules.append(instantiate(cfg.collector[settings.DISTURBANCE[kind]]))
     return TensorDictSequential(*modules)
 
 
@@ -130,6 +129,7 @@ def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> Path:
         raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
     card = begin_demonstrations(path, kind=cfg.demonstrations.kind)
     check_origin(describe_origin(cfg), path, card, SHARED)
+    check_enough(cfg, path)
     return path
 
 

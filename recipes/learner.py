@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+from origin import check_rows
 from tensordict import TensorDictBase
 
 from torchgrasp.data import MixtureReplayBuffer, estimate_bytes, open_demonstrations
@@ -73,6 +74,7 @@ class Learner:
     def make_buffer(self, demonstrations: Path) -> None:
         """An empty buffer with room for the demonstrations below the path."""
         cfg, opened = self.cfg, open_demonstrations(demonstrations)
+        check_rows(opened, self._num_points)
         self._demonstrations = opened
         share = cfg.replay.online_fraction
         capacities = {"online": cfg.replay.online_capacity, "expert": opened.card["rows"]}

@@ -8,13 +8,16 @@ from typing import Any
 import settings
 from omegaconf import DictConfig, OmegaConf
 
+from torchgrasp import keys
+from torchgrasp.data import Demonstrations, open_demonstrations
+from torchgrasp.data.compact import default_labels
 from torchgrasp.data.files import describe_file
+from torchgrasp.data.kinds import COUNTED, resolve_count
 from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import ACTION_SIZE
 
 # Rounds of all worlds in a shard, which is written whole or not at all.
 SHARD_ROUNDS = 4
-# What disturbs the expert in demonstrations of a kind: entries of conf/collector.
-DISTURBANCE = {"perturbed": "disturb", "failed": "disturb_to_fail"}
 # What demonstrations and a training run on them must have in common.
 SHARED = ("kind", "transforms", "camera", "overhead", "horizon", "action_space")
 
@@ -32,8 +35,8 @@ def describe_origin(cfg: DictConfig) -> dict[str, Any]:
         "action_space": cfg.env.action_space,
         "shard_rounds": SHARD_ROUNDS,
     }
-    if demos.kind in DISTURBANCE:
-        origin["disturb"] = plain["collector"][DISTURBANCE[demos.kind]]
+    if demos.kind in settings.DISTURBANCE:
+        origin["disturb"] = plain["collector"][settings.DISTURBANCE[demos.kind]]
     if demos.kind == "learner":
         origin["policy"] = describe_file(settings.weights_file(Path(str(demos.policy))))
         origin["expert_start"] = plain["collector"]["expert_start"] if demos.expert_start else None
@@ -43,17 +46,52 @@ def describe_origin(cfg: DictConfig) -> dict[str, Any]:
 def check_origin(ours: dict, path: Path, card: dict, names: tuple[str, ...] = ()) -> None:
     """Refuse demonstrations that another configuration made; `names` tells what must agree, () for all.
 
-    Of what is shared with a training run, seeds may differ.
+    Of what is shared with a training run, seeds may differ, and what the card does not tell, because
+    nothing of this project collected them, is not compared: see `check_rows`.
     """
     theirs = card["provenance"]
     if not names and "imported_from" in theirs:
         raise ConfigError(f"{path} was imported: its collection cannot go on, give another folder.")
     plain = _unseeded if names else (lambda value: value)
-    differing = [name for name in (names or ours) if plain(ours.get(name)) != plain(theirs.get(name))]
+    told = [name for name in names if name in theirs] if names else ours
+    differing = [name for name in told if plain(ours.get(name)) != plain(theirs.get(name))]
     if differing:
         raise ConfigError(
             f"The demonstrations in {path} were collected with another {', '.join(differing)}: "
             f"configure that as {path / 'card.json'} tells, or give another folder."
+        )
+
+
+def check_rows(opened: Demonstrations, num_points: int) -> None:
+    """Refuse demonstrations whose rows are none that a learner with clouds of `num_points` points takes."""
+    expected = {keys.POINTS: (num_points, 3), keys.TIME_LEFT: (1,), keys.ACTION: (ACTION_SIZE,)}
+    expected |= {name: tuple(value.shape) for name, value in default_labels().items()}
+    for rows in opened.iterate_rows():
+        for name, shape in expected.items():
+            value = rows.get(name, None)
+            found = None if value is None else tuple(value.shape[1:])
+            if found != shape:
+                raise ConfigError(
+                    f"The demonstrations in {opened.path} hold {name!r} of shape {found}, the configuration "
+                    f"wants {shape}: configure transforms and model as they were made, or give others."
+                )
+
+
+def check_enough(cfg: DictConfig, path: Path) -> None:
+    """Say it where fewer steps count than were asked for; refuse demonstrations of which none counts."""
+    demos, card = cfg.demonstrations, open_demonstrations(path, verify=False).card
+    count = resolve_count(demos.count, demos.kind)
+    have = card[COUNTED[count]]
+    if not have:
+        raise ConfigError(
+            f"Of {card['steps']} steps in {path}, none are of {count} episodes: give another "
+            "demonstrations.count, or other demonstrations."
+        )
+    if have < demos.steps:
+        print(
+            f"{path} holds {have} steps that count ({count} episodes), demonstrations.steps={demos.steps} "
+            "asks for more: training goes on with them. If they are being collected, stop, and finish that "
+            f"by recipes/collect.py with the same options first; else give demonstrations.steps={have}."
         )
 
 

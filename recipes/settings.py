@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from torchgrasp.data.kinds import check_kind, resolve_count
-from torchgrasp.errors import CheckpointError, ConfigError, check_range
+from torchgrasp.errors import CheckpointError, ConfigError, check_range, check_whole
 from torchgrasp.training import load_weights, make_run_dir
 
 # config.yaml is resolved, for readers; this one keeps its references, so that a change reaches all.
@@ -29,13 +29,17 @@ POLICIES = ("expert", "random", "planning", "combined", "takeover")
 _RELAYS = ("combined", "takeover")
 # The tabletop protocol's fixed start, unless start=varied says otherwise.
 _TABLETOP = {"_target_": "torchgrasp.envs.TabletopStart", "spread": 0.0}
+# Whole numbers and the least that each can be.
 _AT_LEAST = {
     "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0, "pretrain.batch_size": 1,
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
-    "video.episodes": 0, "video.fps": 1,
+    "video.episodes": 0, "collector.num_workers": 0, "env.num_envs": 1, "env.horizon": 1,
 }  # fmt: skip
+_SWITCHES = ("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard")
+# What disturbs the expert in demonstrations of a kind: entries of conf/collector.
+DISTURBANCE = {"perturbed": "disturb", "failed": "disturb_to_fail"}
 
 
 def check_values(cfg: DictConfig) -> None:
@@ -45,14 +49,19 @@ def check_values(cfg: DictConfig) -> None:
     if missing:
         raise ConfigError(f"{', '.join(missing)} must be given, as {missing[0]}=... on the command line.")
     for name, low in _AT_LEAST.items():
-        value = OmegaConf.select(cfg, name)
-        if value is not None:
-            check_range(name, value, low, float("inf"))
+        value = OmegaConf.select(cfg, name, default=low)
+        check_whole(name, value, low)
+    check_range("video.fps", OmegaConf.select(cfg, "video.fps", default=1), 1, 1000)
+    for name in _SWITCHES:
+        value = OmegaConf.select(cfg, name, default=False)
+        if not isinstance(value, bool):
+            raise ConfigError(f"{name}={value} is no switch: give true or false.")
     for name in OmegaConf.select(cfg, "evaluation.baselines") or ():
         if name not in ("expert", "random"):
             raise ConfigError(f"evaluation.baselines names {name!r}: choose from expert and random.")
     if "demonstrations" in cfg:
         _check_demonstrations(cfg.demonstrations)
+        _check_collector(cfg)
 
 
 def _check_demonstrations(demonstrations: DictConfig) -> None:
@@ -65,6 +74,21 @@ def _check_demonstrations(demonstrations: DictConfig) -> None:
         )
     if policy is not None and not weights_file(Path(str(policy))).is_file():
         raise ConfigError(f"demonstrations.policy={policy}: give a run directory or a weights file.")
+
+
+def _check_collector(cfg: DictConfig) -> None:
+    """Refuse what the demonstrations need and cannot be called."""
+    kind = cfg.demonstrations.kind
+    needed = {DISTURBANCE[kind]: "or give demonstrations.kind=expert"} if kind in DISTURBANCE else {}
+    if kind == "learner" and cfg.demonstrations.expert_start:
+        needed["expert_start"] = "or leave demonstrations.expert_start out"
+    for name, way in needed.items():
+        value = OmegaConf.select(cfg, f"collector.{name}")
+        if not isinstance(value, DictConfig) or "_target_" not in value:
+            raise ConfigError(
+                f"collector.{name}={value} with demonstrations.kind={kind}: configure it (probability=0 "
+                f"switches it off), {way}."
+            )
 
 
 def resumed(cfg: DictConfig) -> DictConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 
 from torchgrasp.errors import TorchgraspError
@@ -28,7 +29,12 @@ def main(arguments: list[str] | None = None) -> int:
     module.add_arguments(command)
     args = command.parse_args(given[1:])
     try:
-        return module.run(args)
+        code = module.run(args)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:  # the reader, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except TorchgraspError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

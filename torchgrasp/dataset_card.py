@@ -6,7 +6,9 @@ import argparse
 from typing import Any
 
 from torchgrasp.data.demonstrations import drop_damaged_shards, open_demonstrations
+from torchgrasp.data.kinds import KINDS
 from torchgrasp.data.minari import export_minari, import_minari
+from torchgrasp.errors import ConfigError
 
 HELP = "check a folder of demonstrations and print its card; export it to Minari, or import it from there"
 
@@ -23,18 +25,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     action.add_argument(
         "--drop-damaged", action="store_true", help="delete the first damaged shard and those after it"
     )
+    parser.add_argument(
+        "--kind", choices=KINDS, help="with --import: of the demonstrations, in place of what it says"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Do what is asked for; every byte is checked before the card is printed."""
-    if args.source:
-        import_minari(args.source, args.folder)
+    if args.kind is not None and args.source is None:
+        raise ConfigError(
+            f"--kind={args.kind} goes with --import alone: a folder keeps the kind that it has."
+        )
+    if args.source is not None:
+        import_minari(args.source, args.folder, kind=args.kind)
     if args.drop_damaged:
-        print(f"{drop_damaged_shards(args.folder)} shards deleted: collect again to make them anew.")
+        names = drop_damaged_shards(args.folder)
+        again = f"{', '.join(names)} deleted: collect again to make them anew."
+        print(again if names else "No shard is damaged, none was deleted.")
         return 0
     demonstrations = open_demonstrations(args.folder)
     print_card(demonstrations.card)
-    if args.export:
+    if args.export is not None:
         print(f"Written to {export_minari(demonstrations, args.export)}")
     return 0
 

@@ -21,14 +21,20 @@ class CheckpointError(TorchgraspError):
     """A run directory, checkpoint or weights file that is missing, damaged or of another model."""
 
 
+class DamageError(CheckpointError):
+    """A file that is missing, or no longer as it was saved; only a copy, or making it again, helps."""
+
+
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
 
 
 def check_whole(name: str, value: int, low: int) -> None:
     """Raise ConfigError unless `value` is a whole number of at least `low`."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < low:
-        raise ConfigError(f"{name}={value!r}: give a whole number of at least {low}.")
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise ConfigError(f"{name}={value} is no whole number: give digits alone, at least {low}.")
+    if value < low:
+        raise ConfigError(f"{name}={value} is out of range: give a whole number of at least {low}.")
 
 
 def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:

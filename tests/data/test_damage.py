@@ -1,15 +1,16 @@
 """Damaged demonstrations: found on opening, named, and never trained on."""
 
 import json
+import resource
 import shutil
 
 import pytest
 import torch
 from rollouts import append, make_episodes
 
-from torchgrasp.data import drop_damaged_shards, open_demonstrations
+from torchgrasp.data import begin_demonstrations, drop_damaged_shards, open_demonstrations
 from torchgrasp.data.files import seal_json
-from torchgrasp.errors import CheckpointError
+from torchgrasp.errors import CheckpointError, ConfigError
 
 
 @pytest.fixture
@@ -90,7 +91,7 @@ def test_damaged_shards_are_dropped_and_made_again(path):
     whole = open_demonstrations(path)
     episodes = [episode.clone() for episode in whole.iterate_episodes()]
     flip(path / "shard_00001" / "rows" / "action.memmap", 5)
-    assert drop_damaged_shards(path) == 2
+    assert drop_damaged_shards(path) == ["shard_00001", "shard_00002"]
     assert open_demonstrations(path).card["shards"] == 1
     for index in (1, 2):
         append(path, index)
@@ -99,7 +100,52 @@ def test_damaged_shards_are_dropped_and_made_again(path):
     for old, new in zip(episodes, again.iterate_episodes(), strict=True):
         assert torch.equal(old["points"], new["points"])
     shutil.rmtree(path / "shard_00001")
-    assert drop_damaged_shards(path) == 1 and open_demonstrations(path).num_shards == 1
+    assert drop_damaged_shards(path) == ["shard_00002"] and open_demonstrations(path).num_shards == 1
+    assert drop_damaged_shards(path) == []
+
+
+def test_shards_that_only_cannot_be_read_now_are_kept(path):
+    """Too many open files, and a link that ends nowhere."""
+    before, limit = open_demonstrations(path).card, resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (0, limit[1]))
+    try:
+        with pytest.raises(CheckpointError, match="does not mean that it is damaged"):
+            drop_damaged_shards(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limit)
+    assert open_demonstrations(path).card == before
+    file = path / "shard_00001" / "rows" / "goal.memmap"
+    file.rename(path / "away")
+    file.symlink_to(file)
+    with pytest.raises(CheckpointError, match="does not mean that it is damaged"):
+        drop_damaged_shards(path)
+    (path / "away").replace(file)
+    assert open_demonstrations(path).card == before
+
+
+def test_shards_of_another_format_are_kept(path):
+    file = path / "shard_00001" / "shard.json"
+    shard = json.loads(file.read_text())
+    del shard["crc32"]
+    file.write_text(seal_json({**shard, "format": 3}))
+    with pytest.raises(CheckpointError, match="format 3, not 2"):
+        drop_damaged_shards(path)
+    assert file.exists() and (path / "shard_00002").exists()
+
+
+def test_imports_are_not_dropped(tmp_path):
+    begin_demonstrations(tmp_path / "demos", provenance={"imported_from": "others/grasps-v0"})
+    append(tmp_path / "demos", 0)
+    flip(tmp_path / "demos" / "shard_00000" / "rows" / "action.memmap", 5)
+    with pytest.raises(ConfigError, match="imported from others/grasps-v0"):
+        drop_damaged_shards(tmp_path / "demos")
+    assert (tmp_path / "demos" / "shard_00000").exists()
+
+
+def test_nothing_is_dropped_where_nothing_is(tmp_path):
+    for path in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(CheckpointError, match="no demonstrations at"):
+            drop_damaged_shards(path)
 
 
 def test_older_formats_are_told_apart_from_damage(path):

@@ -1,5 +1,6 @@
 """Minari datasets, written and read by Minari itself."""
 
+import subprocess
 import sys
 
 import numpy as np
@@ -67,9 +68,7 @@ def test_minari_reads_the_export(demonstrations):
 
 
 def test_datasets_of_others_come_without_labels(tmp_path):
-    from gymnasium import spaces
-
-    space = spaces.Dict({name: spaces.Box(-9, 9, shape) for name, shape in STATES.items()})
+    space = make_space(STATES)
     episodes = [record_episode(space, length, length) for length in (3, 5)]
     dataset = write_dataset(tmp_path / "other-v1", space, episodes)
     card = import_minari(dataset, tmp_path / "demos", kind="expert")
@@ -82,6 +81,12 @@ def test_datasets_of_others_come_without_labels(tmp_path):
 
 
 STATES = {"points": (20, 3), "time_left": (1,)}
+
+
+def make_space(states):
+    from gymnasium import spaces
+
+    return spaces.Dict({name: spaces.Box(0, 1, shape) for name, shape in states.items()})
 
 
 def record_episode(space, length, seed, actions=6):
@@ -114,16 +119,78 @@ def write_dataset(folder, space, episodes):
     [
         ({"points": (20, 3)}, 6, "no 'time_left'"),
         ({"points": (20, 4), "time_left": (1,)}, 6, "gripper_points=False"),
-        (STATES, 7, r"Actions of shape \(3, 7\)"),
+        (STATES, 7, r"Episode 0: 'actions' has the shape \(3, 7\)"),
     ],
 )
 def test_datasets_that_are_no_grasping_are_refused(tmp_path, states, actions, told):
-    from gymnasium import spaces
-
-    space = spaces.Dict({name: spaces.Box(-9, 9, shape) for name, shape in states.items()})
+    space = make_space(states)
     dataset = write_dataset(tmp_path / "other-v0", space, [record_episode(space, 3, 0, actions)])
     with pytest.raises(ConfigError, match=told):
         import_minari(dataset, tmp_path / "demos")
+
+
+def spoil(column, value, name=None):
+    """A change of an episode's column, or of one observation or info in it."""
+
+    def change(episode):
+        part = episode if name is None else episode.setdefault(column, {})
+        part[name or column] = value(part.get(name or column))
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (spoil("observations", lambda x: np.full_like(x, np.nan), "points"), "Episode 1: 'points' holds NaN"),
+        (spoil("observations", lambda x: x + 7e4, "points"), "Episode 1: 'points' .* beyond torch.float16"),
+        (spoil("observations", lambda x: 5 * x + 2, "time_left"), r"Episode 1: 'time_left' .*\[0, 1\]"),
+        (spoil("observations", lambda x: x[:-1], "time_left"), r"'time_left' has the shape \(5, 1\)"),
+        (spoil("observations", lambda x: np.repeat(x, 3, 1), "time_left"), r"expected \(6, 1\)"),
+        (spoil("observations", lambda x: np.repeat(x, 2, 1), "points"), "Episode 1 has 'points'"),
+        (spoil("actions", lambda x: np.full_like(x, np.inf)), "Episode 1: 'actions' holds NaN"),
+        (spoil("rewards", lambda x: x * np.nan), "Episode 1: 'rewards' holds NaN"),
+        (spoil("terminations", np.ones_like), "'terminations' is true at step 0 of 5"),
+        (spoil("truncations", np.ones_like), "'truncations' is true at step 0 of 5"),
+        (spoil("infos", lambda _: np.zeros((6, 9)), "goal"), r"'goal' has the shape \(6, 9\)"),
+        (spoil("infos", lambda _: np.full((6, 1), 2), "has_goal"), "'has_goal' holds other values"),
+    ],
+)
+def test_unusable_values_of_others_are_named_with_their_episode(tmp_path, change, told):
+    space = make_space(STATES)
+    episodes = [record_episode(space, length, length) for length in (3, 5)]
+    change(episodes[1])
+    dataset = write_dataset(tmp_path / "other-v0", space, episodes)
+    with pytest.raises(ConfigError, match=told):
+        import_minari(dataset, tmp_path / "demos")
+    assert not (tmp_path / "demos").exists()
+
+
+def test_numbers_stand_for_columns_of_one(tmp_path):
+    space = make_space({**STATES, "time_left": ()})
+    dataset = write_dataset(tmp_path / "other-v0", space, [record_episode(space, 3, 0)])
+    import_minari(dataset, tmp_path / "demos")
+    (rows,) = open_demonstrations(tmp_path / "demos").shards
+    assert rows["time_left"].shape == (3, 1) and rows["time_left"].dtype == torch.float32
+
+
+def test_an_import_that_fails_leaves_nothing(tmp_path):
+    import h5py
+
+    space = make_space(STATES)
+    dataset = write_dataset(
+        tmp_path / "other-v0", space, [record_episode(space, 3, seed) for seed in range(31)]
+    )
+    with h5py.File(dataset / "data" / "main_data.hdf5", "a") as file:
+        rewards = file["episode_30"]["rewards"][:]
+        del file["episode_30"]["rewards"]
+    for _ in range(2):
+        with pytest.raises(CheckpointError, match="cannot be read"):
+            import_minari(dataset, tmp_path / "demos")
+        assert not (tmp_path / "demos").exists()
+    with h5py.File(dataset / "data" / "main_data.hdf5", "a") as file:
+        file["episode_30"]["rewards"] = rewards
+    assert import_minari(dataset, tmp_path / "demos")["episodes"] == 31
 
 
 def test_nothing_is_written_over(demonstrations, tmp_path):
@@ -154,7 +221,33 @@ def test_the_command_checks_exports_and_imports(demonstrations, tmp_path, capsys
     assert main(["dataset", path]) == 1
     assert "goal.memmap has 0 bytes" in capsys.readouterr().err
     assert main(["dataset", path, "--drop-damaged"]) == 0
+    assert "shard_00001 deleted" in capsys.readouterr().out
     assert main(["dataset", path]) == 0
+
+
+def test_the_command_takes_a_kind_with_an_import_alone(demonstrations, tmp_path, capsys):
+    path, dataset = str(demonstrations.path), str(tmp_path / "my-video")
+    assert main(["dataset", path, "--export", dataset]) == 0
+    assert "my-video" in capsys.readouterr().out
+    assert main(["dataset", str(tmp_path / "back"), "--import", dataset, "--kind", "learner"]) == 0
+    card = open_demonstrations(tmp_path / "back").card
+    assert card["kind"] == card["provenance"]["kind"] == "learner"
+    assert card["provenance"]["imported_from"] == "my-video-v0"
+    for wrong, told in [
+        (["--kind", "learner"], "goes with --import alone"),
+        (["--export", ""], "'' is no id"),
+    ]:
+        assert main(["dataset", path, *wrong]) == 1
+        assert told in capsys.readouterr().err
+    assert main(["dataset", str(tmp_path / "new"), "--import", ""]) == 1
+    assert "'' is no id" in capsys.readouterr().err
+
+
+def test_a_reader_that_has_had_enough_is_no_error(demonstrations):
+    command = [sys.executable, "-m", "torchgrasp", "dataset", str(demonstrations.path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        assert process.wait(60) == 1 and process.stderr.read() == ""
 
 
 def test_without_minari_one_line_tells_what_to_install(demonstrations, monkeypatch, capsys):

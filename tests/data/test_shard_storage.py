@@ -82,6 +82,14 @@ def test_indices_of_any_shape(demonstrations):
     assert torch.equal(storage[torch.tensor([5, 0])]["action"][0], storage[5]["action"])
 
 
+def test_an_empty_index_gives_an_empty_batch(demonstrations):
+    storage = ShardStorage(tuple(demonstrations.iterate_rows()), next_keys=("points",))
+    for index in ([], slice(0, 0), torch.zeros(0, 3, dtype=torch.int64)):
+        batch, full = storage.get(index), storage.get([0])
+        assert len(batch) == 0 and set(batch.keys(True)) == set(full.keys(True))
+        assert batch["next", "points"].shape[-2:] == full["points"].shape[-2:]
+
+
 def test_the_files_are_read_only_and_state_is_small(demonstrations):
     buffer = demonstrations.buffer(batch_size=8)
     with pytest.raises(RuntimeError, match="writing"):

@@ -1,6 +1,9 @@
 """What a user may get wrong: one clear message, exit code 1, no traceback."""
 
 import pytest
+import settings
+
+from torchgrasp.errors import ConfigError
 
 
 @pytest.mark.parametrize(
@@ -39,6 +42,28 @@ def test_impossible_values(run_recipe, overrides, told):
     assert code == 1, err
     assert told in err and "Traceback" not in err
     assert sum(line.startswith("error:") for line in err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["demonstrations.steps=inf"], "demonstrations.steps=inf is no whole number"),
+        (["collector.num_workers=1.5"], "collector.num_workers=1.5 is no whole number"),
+        (["collector.num_workers=null"], "collector.num_workers=None is no whole number"),
+        (["evaluation.episodes=true"], "evaluation.episodes=True is no whole number"),
+        (["replay.online_capacity=0"], "replay.online_capacity=0 is out of range"),
+        (["demonstrations.expert_start=maybe"], "demonstrations.expert_start=maybe is no switch"),
+        (["collector.disturb=null"], "collector.disturb=None .* demonstrations.kind=expert"),
+        (["demonstrations.kind=failed", "collector.disturb_to_fail=3"], "collector.disturb_to_fail=3"),
+    ],
+)
+def test_values_of_another_type(composed, overrides, told):
+    with pytest.raises(ConfigError, match=told):
+        settings.check_values(composed(*overrides))
+
+
+def test_what_is_not_needed_may_be_left_out(composed):
+    settings.check_values(composed("demonstrations.kind=expert", "collector.disturb=null"))
 
 
 def test_misspelt_override_gets_hydras_own_message(run_recipe):

@@ -1,5 +1,6 @@
 """Demonstrations of every kind, collected as a user would, and a collection that was killed on the way."""
 
+import json
 import os
 import random
 import signal
@@ -9,11 +10,14 @@ import time
 import collect
 import common
 import pytest
+import td3_bc
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from origin import check_rows
 from runner import command, environment
 
 from torchgrasp.data import count_shards, open_demonstrations
+from torchgrasp.data.minari import export_minari, import_minari
 from torchgrasp.errors import ConfigError
 from torchgrasp.training import save_weights
 
@@ -105,6 +109,45 @@ def test_training_takes_demonstrations_of_another_seed_but_not_of_another_kind(c
         cfg.demonstrations.kind = "learner"
         with pytest.raises(ConfigError, match="kind perturbed, not learner"):
             collect.demonstrations(cfg, pool, path.parent)
+
+
+def import_export(demonstrations, folder, *, told):
+    """The demonstrations through Minari and back; without `told`, as a dataset of somebody else."""
+    minari = pytest.importorskip("minari")
+    exported = export_minari(demonstrations, folder / "away-v0")
+    if not told:
+        file = exported / "data" / "metadata.json"
+        metadata = json.loads(file.read_text())
+        del metadata["torchgrasp"]
+        file.write_text(json.dumps(metadata))
+    assert minari.MinariDataset(exported / "data").total_episodes == demonstrations.num_episodes
+    import_minari(exported, folder / "back", kind="perturbed")
+    return folder / "back"
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_training_takes_imports(composed, collected, tmp_path, told):
+    path = import_export(collected(), tmp_path, told=told)
+    given = ["total_env_steps=0", "evaluation.episodes=1", "evaluation.baselines=[]"]
+    summary = td3_bc.train(composed("experiment=smoke", f"demonstrations.path={path}", *given))
+    assert summary["gradient_steps"] == 6 and summary["demonstrations"]["successful_steps"] >= 40
+    if told:
+        with pytest.raises(ConfigError, match="another transforms"):
+            cfg = composed(
+                "experiment=smoke", f"demonstrations.path={path}", "transforms.sample.num_points=40"
+            )
+            collect.demonstrations(cfg, None, tmp_path)
+    with pytest.raises(ConfigError, match=r"'points' of shape \(32, 3\).*\(40, 3\)"):
+        check_rows(open_demonstrations(path), 40)
+
+
+def test_training_on_less_than_was_asked_for_says_so(composed, collected, tmp_path, capsys):
+    path = collected("demonstrations.kind=expert").path
+    given = ["experiment=smoke", "demonstrations.kind=expert", f"demonstrations.path={path}"]
+    assert collect.demonstrations(composed(*given), None, tmp_path) == path
+    assert capsys.readouterr().out == ""
+    collect.demonstrations(composed(*given, "demonstrations.steps=999"), None, tmp_path)
+    assert "demonstrations.steps=999 asks for more" in capsys.readouterr().out
 
 
 def test_killed_at_any_moment_and_resumed_equals_never_killed(collected, tmp_path):

@@ -25,11 +25,12 @@ from torchrl.envs.transforms import Compose, Transform
 
 from torchgrasp.data.card import add_to_card, empty_card, read_card, write_card
 from torchgrasp.data.compact import CompactTransitions
+from torchgrasp.data.files import reading
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage
 from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard, shard_name
 from torchgrasp.data.storage import keep_batch
-from torchgrasp.errors import CheckpointError
+from torchgrasp.errors import CheckpointError, ConfigError, DamageError
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,7 @@ def open_demonstrations(path: str | Path, *, verify: bool = True) -> Demonstrati
             alone are compared.
     """
     path = Path(path)
-    if not path.is_dir():
-        raise CheckpointError(f"There are no demonstrations at {path}: collect some, or name their folder.")
+    _list_folder(path)
     folders = find_shards(path)
     told = read_card(path)
     metadata = [read_shard(folder, verify=verify) for folder in folders]
@@ -143,25 +143,43 @@ def open_demonstrations(path: str | Path, *, verify: bool = True) -> Demonstrati
     )
 
 
-def drop_damaged_shards(path: str | Path) -> int:
-    """Delete the first damaged shard below `path` and those after it; returns how many.
+def drop_damaged_shards(path: str | Path) -> list[str]:
+    """Delete the first damaged shard below `path` and those after it; returns their names.
 
-    Collecting goes on from there, and makes the same shards again.
+    Collecting goes on from there, and makes the same shards again. A shard is damaged if one of its
+    files is missing, or differs in size or checksum; one that cannot be read now, or is of another
+    format, raises CheckpointError and stays. An import, which nobody can collect again, is refused.
     """
     path = Path(path)
-    told, folders = read_card(path), sorted(path.glob("shard_[0-9]*"))
+    folders = [each for each in _list_folder(path) if each.match("shard_[0-9]*")]
+    told = read_card(path)
+    if "imported_from" in told["provenance"]:
+        raise ConfigError(
+            f"{path} was imported from {told['provenance']['imported_from']} and cannot be collected again: "
+            "delete it and import it anew, or restore it from a copy."
+        )
     whole = []
     for number, folder in enumerate(folders):
         if folder.name != shard_name(number):
             break
         try:
             whole.append(read_shard(folder, verify=True))
-        except CheckpointError:
+        except DamageError:
             break
-    for folder in reversed(folders[len(whole) :]):
+    dropped = folders[len(whole) :]
+    for folder in reversed(dropped):
         shutil.rmtree(folder)
     write_card(path, _summarise(told, whole))
-    return len(folders) - len(whole)
+    return [folder.name for folder in dropped]
+
+
+def _list_folder(path: Path) -> list[Path]:
+    """What is in the folder, in order; unlike `glob`, never nothing because it cannot be read."""
+    with reading(path, "name a folder"):
+        found = sorted(path.iterdir()) if path.is_dir() else []
+    if not found:
+        raise CheckpointError(f"There are no demonstrations at {path}: collect some, or name their folder.")
+    return found
 
 
 def _summarise(card: dict[str, Any], shards: Sequence[dict[str, Any]]) -> dict[str, Any]:

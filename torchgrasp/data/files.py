@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torchgrasp.errors import CheckpointError
+from torchgrasp.errors import CheckpointError, DamageError
 
 # Ends the text of a sealed JSON file; its own checksum follows.
 _SEAL = ',\n  "crc32": '
@@ -39,17 +39,34 @@ def seal_json(value: Mapping[str, Any]) -> str:
 
 
 def read_sealed_json(path: str | Path, remedy: str) -> dict[str, Any]:
-    """Read what `seal_json` gave, without `crc32`; CheckpointError names a missing or changed file."""
+    """Read what `seal_json` gave, without `crc32`; DamageError names a missing or changed file."""
     try:
-        body, _, tail = Path(path).read_bytes().decode().rpartition(_SEAL)
+        body, _, tail = _read_bytes(Path(path), remedy).decode().rpartition(_SEAL)
         if tail != f"{zlib.crc32(body.encode())}\n}}\n":
             raise ValueError("its checksum differs")
         return json.loads(body + "\n}")
-    except FileNotFoundError as error:
-        raise CheckpointError(f"{path} is missing: {remedy}.") from error
-    except (OSError, ValueError) as error:
-        raise CheckpointError(
+    except ValueError as error:
+        raise DamageError(
             f"{path} was changed or cut short after it was saved ({error}): {remedy}."
+        ) from error
+
+
+def _read_bytes(path: Path, remedy: str) -> bytes:
+    with reading(path, remedy):
+        return path.read_bytes()
+
+
+@contextmanager
+def reading(path: Path, remedy: str) -> Iterator[None]:
+    """Tell what is missing from what only cannot be read now: rights, open files, a disk's fault."""
+    try:
+        yield
+    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
+        raise DamageError(f"{path} is missing: {remedy}.") from error
+    except OSError as error:
+        raise CheckpointError(
+            f"{path} cannot be read ({error.strerror}), which does not mean that it is damaged: mend that, "
+            "then try again."
         ) from error
 
 
@@ -63,16 +80,14 @@ def describe_file(file: Path) -> dict[str, int]:
 
 
 def check_file(file: Path, expected: Mapping[str, int], remedy: str, *, checksum: bool = True) -> None:
-    """Raise CheckpointError unless `file` is as `describe_file` told; without `checksum`, of that size."""
-    try:
+    """Raise DamageError unless `file` is as `describe_file` told; without `checksum`, of that size."""
+    with reading(file, remedy):
         size = file.stat().st_size
         same = size == expected["bytes"] and (not checksum or describe_file(file) == dict(expected))
-    except OSError as error:
-        raise CheckpointError(f"{file} is missing or unreadable ({error.strerror}): {remedy}.") from error
     if size != expected["bytes"]:
-        raise CheckpointError(f"{file} has {size} bytes instead of {expected['bytes']}: {remedy}.")
+        raise DamageError(f"{file} has {size} bytes instead of {expected['bytes']}: {remedy}.")
     if not same:
-        raise CheckpointError(f"{file} was changed after it was saved (its checksum differs): {remedy}.")
+        raise DamageError(f"{file} was changed after it was saved (its checksum differs): {remedy}.")
 
 
 @contextmanager

@@ -6,13 +6,14 @@
     infos         (T + 1, ...)  expert_action, has_expert, goal, has_goal, perturbed, episode_success, ...
     seed, options/object        of each episode
 
-`infos[t]` belongs to `observations[t]`, as in Minari's own recordings; the last has no label. An
-episode that terminated has no observation after its end: the last one stands there twice.
+`infos[t]` belongs to `observations[t]`, as in Minari's own recordings. An episode that terminated has
+no observation after its end: the last one stands there twice, with infos of zeros.
 """
 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -25,6 +26,7 @@ from torchgrasp.data.card import begin_demonstrations
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.demonstrations import Demonstrations
 from torchgrasp.data.files import replace_folder
+from torchgrasp.data.minari_columns import check_alike
 from torchgrasp.data.minari_episodes import columns_to_rows, make_space, rows_to_columns
 from torchgrasp.data.shards import append_rows
 from torchgrasp.errors import CheckpointError, ConfigError
@@ -57,7 +59,7 @@ def find_dataset(name: str | Path) -> tuple[Path, str]:
     parse = minari.dataset.minari_dataset.parse_dataset_id
     if isinstance(name, Path) or name[:1] in ("/", ".", "~"):
         folder = Path(name).expanduser().absolute()
-        identity = folder.name if "-v" in folder.name else f"{folder.name}-v0"
+        identity = folder.name if re.search(r"-v\d+$", folder.name) else f"{folder.name}-v0"
     else:
         folder, identity = minari.storage.get_dataset_path(name), name
     try:
@@ -127,25 +129,40 @@ def import_minari(
 ) -> dict[str, Any]:
     """Write the Minari dataset `source` as demonstrations into the new folder `path`; returns their card.
 
-    An export of `export_minari` comes back row for row. Other datasets need observations named as
-    the codec's and actions (6); labels that they lack are stored as absent.
+    The folder is there once all is imported. An export of `export_minari` comes back row for row.
+    Other datasets need observations named as the codec's and actions (6); labels that they lack are
+    stored as absent. ConfigError names the episode and column that cannot be used.
 
     Args:
         source: see `find_dataset`.
         path: holds no demonstrations yet.
-        kind: of the demonstrations; by default what the dataset says, expert where it says nothing.
+        kind: of the demonstrations, in place of what the dataset says; by default that, or expert
+            where it says nothing.
         codec: how transitions are stored; CompactTransitions() if None.
     """
     codec, path = codec or CompactTransitions(), Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ConfigError(f"{path} is there already: give a folder that does not exist yet.")
     dataset, metadata = _open(source)
+    if not dataset.total_episodes:
+        raise ConfigError(f"{dataset.storage.data_path} holds no episode: there is nothing to import.")
     told = metadata.get(_CARD, {})
     provenance = {**told.get("provenance", {}), "imported_from": dataset.id}
+    if kind is not None:
+        provenance["kind"] = kind
+    with replace_folder(path) as new:
+        begin_demonstrations(new, kind=kind or told.get("kind", "expert"), provenance=provenance)
+        return _append_all(new, _read_episodes(dataset, codec, ours=bool(told)), told)
+
+
+def _append_all(
+    path: Path, episodes: Iterable[tuple[TensorDict, str, int]], told: dict[str, Any]
+) -> dict[str, Any]:
+    """Append all episodes, shard by shard; returns the card."""
     # What was run and not kept is told with the first shard, and so is the time that all took.
     dropped, seconds = told.get("attempts", 0) - told.get("episodes", 0), told.get("wall_seconds", 0.0)
-    card = begin_demonstrations(path, kind=kind or told.get("kind", "expert"), provenance=provenance)
-    for index, some in enumerate(_in_groups(_read_episodes(dataset, codec, extras=bool(told)))):
+    card: dict[str, Any] = {}
+    for index, some in enumerate(_in_groups(episodes)):
         rows, objects, seeds = zip(*some, strict=True)
         card = append_rows(
             path,
@@ -176,15 +193,18 @@ def _open(source: str | Path) -> tuple[Any, dict[str, Any]]:
 
 
 def _read_episodes(
-    dataset: Any, codec: CompactTransitions, *, extras: bool
+    dataset: Any, codec: CompactTransitions, *, ours: bool
 ) -> Iterator[tuple[TensorDict, str, int]]:
     """Rows, the object's name and the seed of each episode."""
+    first = None
     try:
         for number in dataset.episode_indices:
             (episode,) = dataset.iterate_episodes([number])
             (told,) = dataset.storage.get_episode_metadata([number])
             name = str(told.get("options", {}).get("object", "unknown"))
-            yield columns_to_rows(episode, codec, extras=extras), name, int(told.get("seed") or 0)
+            rows = columns_to_rows(episode, codec, ours=ours)
+            first = check_alike(number, rows, first)
+            yield rows, name, int(told.get("seed") or 0)
     except (OSError, KeyError, RuntimeError) as error:
         raise CheckpointError(
             f"{dataset.storage.data_path} cannot be read ({error}): get it again."

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchgrasp import keys
 from torchgrasp.data.compact import CompactTransitions, default_labels
+from torchgrasp.data.minari_columns import check_end, read_column
 from torchgrasp.data.sampler import STUB
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_SIZE
@@ -65,72 +66,104 @@ def rows_to_columns(rows: TensorDictBase, codec: CompactTransitions) -> dict[str
     }
 
 
-def columns_to_rows(episode: Any, codec: CompactTransitions, *, extras: bool) -> TensorDict:
+def columns_to_rows(episode: Any, codec: CompactTransitions, *, ours: bool) -> TensorDict:
     """One of Minari's episodes to rows (R); labels that it lacks are stored as absent.
+
+    An episode whose last step is not marked as terminated was truncated there. ConfigError names
+    the episode and the column that has a wrong shape, holds no finite numbers, or ends too early.
 
     Args:
         episode: a minari EpisodeData whose observations are a dictionary.
         codec: whose observations are wanted.
-        extras: whether infos besides the labels are kept; a dot in their names separates nested keys.
+        ours: whether an export made it: infos besides the labels are kept then (a dot in their names
+            separates nested keys), and time_left may be what was stored.
     """
-    num_steps = len(episode.rewards)
-    terminated = _column(episode.terminations).bool()
+    num_steps, terminated = len(episode.rewards), _read_ends(episode)
     rows_of_step = torch.arange(num_steps + int(not bool(terminated[-1]))).clamp_max(num_steps - 1)
     num_rows = len(rows_of_step)
-    observations = {name: _get_observation(episode, name, codec) for name in codec.observation_keys}
-    rows = TensorDict({name: value[:num_rows] for name, value in observations.items()}, [num_rows])
-    action = torch.from_numpy(np.asarray(episode.actions)).float()
-    if action.shape != (num_steps, ACTION_SIZE):
-        raise ConfigError(
-            f"Actions of shape {tuple(action.shape)}: expected relative hand poses (T, {ACTION_SIZE})."
-        )
+    rows = TensorDict({}, [num_rows])
+    for name in codec.observation_keys:
+        rows[name] = _read_observation(episode, name, codec, unit_time=not ours)[:num_rows]
+    action = _read(episode, "actions", shape=(ACTION_SIZE,), dtype=torch.float32)
     rows[keys.ACTION] = action[rows_of_step]
-    infos: Mapping[str, Any] = episode.infos or {}
-    for name, default in default_labels().items():
-        given = infos.get(join_key(name))
-        rows[name] = _spread(default, num_rows) if given is None else _like(given, default)[:num_rows]
-    rewards = _column(episode.rewards).float()
+    for name, value in _read_infos(episode, num_rows, extras=ours).items():
+        rows[name] = value
+    rewards = _read(episode, "rewards", shape=(1,), dtype=torch.float32)
     done = terminated.clone()
     done[-1] = True
     outcomes = {"reward": rewards, "terminated": terminated, "done": done}
     for name, value in outcomes.items():
         rows[name] = value[rows_of_step]
     rows[keys.EPISODE_SUCCESS] = (rewards[-1:] > 0.5).expand(num_rows, 1).clone()
-    known = {keys.EPISODE_SUCCESS, *map(join_key, default_labels())}
-    for name in set(infos) - known if extras else ():
-        rows[_split_key(name)] = torch.from_numpy(np.asarray(infos[name]))[:num_rows]
     return rows.set(STUB, (torch.arange(num_rows) >= num_steps)[:, None])
 
 
-def _get_observation(episode: Any, name: NestedKey, codec: CompactTransitions) -> Tensor:
-    states = episode.observations
+def _read(episode: Any, name: str, *, shape: tuple[int, ...], dtype: torch.dtype) -> Tensor:
+    """One of an episode's columns (T, *shape)."""
+    lengths = [len(episode.rewards)]
+    return read_column(
+        getattr(episode, name), _told(episode, name), lengths=lengths, shape=shape, dtype=dtype
+    )
+
+
+def _told(episode: Any, name: str) -> str:
+    return f"Episode {episode.id}: {name!r}"
+
+
+def _read_ends(episode: Any) -> Tensor:
+    """(T, 1) bool: whether a step terminated the episode; only the last may end it."""
+    if not len(episode.rewards):
+        raise ConfigError(f"Episode {episode.id} has no step: leave it out.")
+    flags = {
+        name: _read(episode, name, shape=(1,), dtype=torch.bool) for name in ("terminations", "truncations")
+    }
+    for name, flag in flags.items():
+        check_end(flag, _told(episode, name))
+    return flags["terminations"]
+
+
+def _read_infos(episode: Any, num_rows: int, *, extras: bool) -> dict[NestedKey, Tensor]:
+    """Labels (R, ...), and with `extras` the other infos."""
+    infos: Mapping[str, Any] = episode.infos or {}
+    lengths = {num_rows, len(episode.rewards) + 1}
+    columns: dict[NestedKey, Tensor] = {}
+    for name, default in default_labels().items():
+        told, given = _told(episode, join_key(name)), infos.get(join_key(name))
+        columns[name] = (
+            default.expand(num_rows, *default.shape).clone()
+            if given is None
+            else read_column(given, told, lengths=lengths, shape=tuple(default.shape), dtype=default.dtype)
+        )[:num_rows]
+    known = {keys.EPISODE_SUCCESS, *map(join_key, default_labels())}
+    for name in set(infos) - known if extras else ():
+        columns[_split_key(name)] = read_column(infos[name], _told(episode, name), lengths=lengths)[:num_rows]
+    return columns
+
+
+def _read_observation(episode: Any, name: NestedKey, codec: CompactTransitions, *, unit_time: bool) -> Tensor:
+    """(T + 1, ...) values of an observation as the codec stores them."""
+    states, told = episode.observations, _told(episode, join_key(name))
     if not isinstance(states, Mapping) or join_key(name) not in states:
         found = sorted(states) if isinstance(states, Mapping) else type(states).__name__
         raise ConfigError(
             f"The dataset's observations have no {join_key(name)!r}, only {found}: demonstrations need "
             f"{[join_key(each) for each in codec.observation_keys]}."
         )
-    value = torch.from_numpy(np.asarray(states[join_key(name)]))
-    if name != codec.observation_keys[0]:
-        return value
-    if value.ndim != 3 or (codec.gripper_points and value.shape[-1] != 3):
-        raise ConfigError(
-            f"{join_key(name)!r} of shape {tuple(value.shape)}: expected clouds (T + 1, N, 3) without "
-            "the gripper's points, or CompactTransitions(gripper_points=False) for others."
-        )
-    return value.half()
-
-
-def _column(values: Any) -> Tensor:
-    return torch.from_numpy(np.asarray(values)).reshape(-1, 1)
-
-
-def _like(values: Any, default: Tensor) -> Tensor:
-    return torch.from_numpy(np.asarray(values)).to(default.dtype).reshape(-1, *default.shape)
-
-
-def _spread(default: Tensor, num_rows: int) -> Tensor:
-    return default.expand(num_rows, *default.shape).clone()
+    given, lengths = states[join_key(name)], [len(episode.rewards) + 1]
+    if name == codec.observation_keys[0]:
+        points = read_column(given, told, lengths=lengths, dtype=torch.float16)
+        if points.ndim != 3 or (codec.gripper_points and points.shape[-1] != 3):
+            raise ConfigError(
+                f"{told} of shape {tuple(points.shape)}: expected clouds (T + 1, N, 3) without "
+                "the gripper's points, or CompactTransitions(gripper_points=False) for others."
+            )
+        return points
+    if name != keys.TIME_LEFT:
+        return read_column(given, told, lengths=lengths)
+    left = read_column(given, told, lengths=lengths, shape=(1,), dtype=torch.float32)
+    if unit_time and not bool(((left >= 0) & (left <= 1)).all()):
+        raise ConfigError(f"{told} is out of range: give the share of the steps that is left, in [0, 1].")
+    return left
 
 
 def _split_key(name: str) -> NestedKey:

@@ -65,6 +65,8 @@ class ShardStorage(Storage):
         numbers, counts = (each.tolist() for each in owner.unique_consecutive(return_counts=True))
         starts = [0, *self._bounds.tolist()]
         parts = [part - starts[number] for number, part in zip(numbers, rows.split(counts), strict=True)]
+        if not parts:  # an empty index, as other storages take it
+            numbers, parts = [0], [rows]
         batch = TensorDict({}, rows.shape)
         for name in self._names if names is None else names:
             columns = self._get_columns(name)

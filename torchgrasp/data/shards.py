@@ -61,10 +61,6 @@ def append_shard(
         wall_seconds: that they took.
         codec: how transitions are stored; CompactTransitions() if None.
     """
-    if not len(episodes) == len(objects) == len(seeds):
-        raise ConfigError(
-            f"{len(episodes)} episodes, {len(objects)} objects and {len(seeds)} seeds: give as many of each."
-        )
     codec = codec or CompactTransitions()
     encoded = [codec.encode(_check_episode(number, episode)) for number, episode in enumerate(episodes)]
     return append_rows(
@@ -89,6 +85,10 @@ def append_rows(
     wall_seconds: float = 0.0,
 ) -> dict[str, Any]:
     """`append_shard` of episodes that are rows (R_i) already, as the codec's `encode` gives them."""
+    if not len(episodes) == len(objects) == len(seeds):
+        raise ConfigError(
+            f"{len(episodes)} episodes, {len(objects)} objects and {len(seeds)} seeds: give as many of each."
+        )
     path = Path(path)
     folders = find_shards(path)
     if index != len(folders):
