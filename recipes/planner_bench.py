@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
 
 import common
 import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 from omegaconf import DictConfig
 from tensordict import TensorDict
@@ -43,7 +45,9 @@ def make_experts(cfg: DictConfig, objects) -> dict[str, ExpertPolicy]:
 
 def _compose(name: str) -> DictConfig:
     """conf/expert/<name>.yaml with its defaults."""
-    with initialize_config_dir(str(_CONF), version_base=None):
+    # Inside a recipe Hydra is at work already.
+    begun = GlobalHydra.instance().is_initialized()
+    with nullcontext() if begun else initialize_config_dir(str(_CONF), version_base=None):
         return compose("benchmark", [f"expert={name}"]).expert
 
 

@@ -1,5 +1,7 @@
 """The benchmark of experts, on a few scenes."""
 
+import json
+
 import benchmark
 import pytest
 
@@ -9,9 +11,12 @@ SMALL = ["suite=planner", "episodes=2", "env.num_envs=2", "scenes=3"]
 SMALL += ["objects.num_objects=2", "objects.num_grasps=100"]
 
 
-def test_experts_are_measured_on_the_same_scenes(composed):
-    cfg = composed(*SMALL, "experts=[straight,trajectory]", recipe="benchmark")
-    rows = benchmark.benchmark(cfg)["rows"]
+def test_experts_are_measured_on_the_same_scenes(run_recipe, tmp_path):
+    code, out, err = run_recipe("benchmark", *SMALL, "experts=[straight,trajectory]")
+    assert code == 0, err
+    assert out.count("neighbours: actions differ") == 2
+    (written,) = tmp_path.glob("benchmark/*/benchmark.json")
+    rows = json.loads(written.read_text())["rows"]
     assert list(rows) == ["straight", "trajectory"]
     for row in rows.values():
         assert 0 < row["plan_median_milliseconds"] <= row["plan_p95_milliseconds"]
