@@ -17,7 +17,7 @@ from torchgrasp.envs.scene import Scene, SceneSampler
 from torchgrasp.envs.specs import SpecMaker
 from torchgrasp.envs.starts import Start, StartPoses
 from torchgrasp.envs.trigger import GRASP_TRIGGERS, GraspTrigger, is_between_fingers
-from torchgrasp.errors import ConfigError, TorchgraspError
+from torchgrasp.errors import ConfigError, TorchgraspError, check_whole
 from torchgrasp.objects.gripper import hand_blocked
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.surface import surface_points
@@ -84,11 +84,8 @@ class GraspEnv(EnvBase):
         first_world: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
-        for name, value in (("num_envs", num_envs), ("horizon", horizon)):
-            if not isinstance(value, int) or value < 1:
-                raise ConfigError(f"env.{name}={value} is out of range: give a whole number of at least 1.")
-        if not isinstance(seed, int) or seed < 0:
-            raise ConfigError(f"env.seed={seed}: give a whole number of at least 0.")
+        for name, value, low in (("num_envs", num_envs, 1), ("horizon", horizon, 1), ("seed", seed, 0)):
+            check_whole(f"env.{name}", value, low)
         if grasp_trigger not in GRASP_TRIGGERS:
             raise ConfigError(
                 f"env.grasp_trigger={grasp_trigger!r} is unknown: give {' or '.join(GRASP_TRIGGERS)}."

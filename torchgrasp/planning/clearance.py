@@ -8,10 +8,9 @@ import numpy as np
 
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.distance import DistanceField, distance_field
-from torchgrasp.planning.spheres import arm_spheres, column_colliders, column_spheres, self_pairs
+from torchgrasp.planning.spheres import HAND, arm_spheres, column_colliders, column_spheres, self_pairs
 from torchgrasp.sim.kinematics import Array, link_poses
 
-_HAND = 7
 _FAR = 0.05
 
 
@@ -46,11 +45,11 @@ class Clearance:
         spheres = arm_spheres()
         centres = spheres.place(link_poses(q))
         nearest = (centres[..., 2] - spheres.radius).min(axis=-1)
-        for pairs in (_column_pairs(centres), _moving_pairs(centres)):
-            nearest = np.minimum(nearest, pairs.min(axis=-1))
+        nearest = np.minimum(nearest, _column_pairs(centres).min(axis=(1, 2)))
+        nearest = np.minimum(nearest, _moving_pairs(centres).min(axis=-1))
         row, sphere = self._near(centres, _FAR)
         if not hand:
-            row, sphere = row[spheres.link[sphere] != _HAND], sphere[spheres.link[sphere] != _HAND]
+            row, sphere = row[spheres.link[sphere] != HAND], sphere[spheres.link[sphere] != HAND]
         clear, _ = self._to_object(centres[row, sphere])
         to_object = np.full(len(q), _FAR)
         np.minimum.at(to_object, row, clear - spheres.radius[sphere])
@@ -101,7 +100,7 @@ class Clearance:
         """(B,) cost of the arm's own collisions; adds the forces of them to `force`."""
         total = np.zeros(len(centres))
         fixed, _ = column_spheres()
-        row, sphere, column = np.nonzero((clear := _column_pairs(centres, flat=False)) < self.margin)
+        row, sphere, column = np.nonzero((clear := _column_pairs(centres)) < self.margin)
         cost, push = self._hinge(clear[row, sphere, column])
         sphere = column_colliders()[sphere]
         away = _unit(centres[row, sphere] - fixed[column])
@@ -117,14 +116,13 @@ class Clearance:
         return total + np.bincount(row, cost, len(total))
 
 
-def _column_pairs(centres: Array, *, flat: bool = True) -> Array:
-    """Clearances (B, M, C), flat (B, M * C), of the spheres that may meet base or shoulder."""
+def _column_pairs(centres: Array) -> Array:
+    """Clearances (B, M, C) of the spheres that may meet base or shoulder."""
     fixed, fixed_radius = column_spheres()
     moving = column_colliders()
     at = centres[:, moving]
     square = (at * at).sum(axis=-1)[..., None] - 2.0 * (at @ fixed.T) + (fixed * fixed).sum(axis=-1)
-    clear = np.sqrt(np.maximum(square, 0.0)) - (arm_spheres().radius[moving, None] + fixed_radius)
-    return clear.reshape(len(centres), -1) if flat else clear
+    return np.sqrt(np.maximum(square, 0.0)) - (arm_spheres().radius[moving, None] + fixed_radius)
 
 
 def _moving_pairs(centres: Array) -> Array:

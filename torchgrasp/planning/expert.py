@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,6 +34,13 @@ _PATIENCE, _NEVER = 3, 1_000_000
 _HOPEFUL = (PlanStatus.BLOCKED, PlanStatus.STEPS)
 
 
+class _Guide(NamedTuple):
+    """A planner, and the law that its plans are followed by."""
+
+    planner: Planner
+    law: Law
+
+
 @dataclass
 class _Pursuit:
     """What the expert remembers of one world: its episode, the plan for it, the grasp pursued."""
@@ -41,7 +49,7 @@ class _Pursuit:
     T_base_object: Array
     planned_for: Array
     plan: Plan
-    law: Law
+    guide: _Guide
     planned_at: int
     steps_left: int
     chosen: int = -1
@@ -64,7 +72,7 @@ class _Pursuit:
     def course(self, T_base_goal: Array, T_base_object: Array) -> Course:
         """What the law is told."""
         shift = T_base_object @ np.linalg.inv(self.planned_for)
-        return Course(self.plan, self.law, T_base_goal, self.planned_at - self.steps_left, shift)
+        return Course(self.plan, T_base_goal, self.planned_at - self.steps_left, shift)
 
 
 class ExpertPolicy(TensorDictModuleBase):
@@ -108,8 +116,9 @@ class ExpertPolicy(TensorDictModuleBase):
         self.law = law or _own_law(self.planner)
         if fallback is None and planner is None:
             fallback = FunnelPlanner()
-        self.fallback = fallback
-        self._fallback_law = None if fallback is None else _own_law(fallback)
+        self._guides = [_Guide(self.planner, self.law)]
+        if fallback is not None:
+            self._guides.append(_Guide(fallback, _own_law(fallback)))
         if not self.law.any_goal and not self.planner.gives_path:
             raise ConfigError("expert.law follows a path, but expert.planner has none: give prove=True.")
         self.actions = action_space or EeDelta()
@@ -130,19 +139,23 @@ class ExpertPolicy(TensorDictModuleBase):
         """Write the labels; every input is (*, ...) as the environment gives it."""
         states = WorldStates.read(tensordict, self.horizon)
         T_base_ee, steps_left = states.T_base_ee, states.steps_left
-        courses, self._reasons = [], []
+        courses, guides, self._reasons = [], [], []
         for row, world in enumerate(states.worlds):
             courses.append(self._pursue(states, row))
+            guides.append(self._pursuits[world].guide)
             self._reasons.append(self._pursuits[world].plan.status)
         target, goals = T_base_ee.copy(), T_base_ee.copy()
         has_goal = np.array([course is not None for course in courses])
-        for law in (self.law, self._fallback_law):
-            rows = [i for i, course in enumerate(courses) if course is not None and course.law is law]
-            held = [course for course in courses if course is not None and course.law is law]
-            if law is None or not rows:
-                continue
-            goals[rows] = [course.T_base_goal for course in held]
-            target[rows] = law.steer(T_base_ee[rows], held, steps_left[rows], self.horizon)
+        for guide in self._guides:
+            led = {
+                row: course
+                for row, course in enumerate(courses)
+                if course is not None and guides[row] is guide
+            }
+            if led:
+                rows, held = list(led), list(led.values())
+                goals[rows] = [course.T_base_goal for course in held]
+                target[rows] = guide.law.steer(T_base_ee[rows], held, steps_left[rows], self.horizon)
         action = self.actions.action_towards(states.q, T_base_ee, target)
         return self._write(tensordict, T_base_ee, action, goals, has_goal)
 
@@ -154,22 +167,19 @@ class ExpertPolicy(TensorDictModuleBase):
         if pursuit is not None and pursuit.goes_on(episode, T_base_object, steps_left):
             pursuit.steps_left = steps_left
             course = self._choose(pursuit, target, T_base_ee, T_base_object)
-            content = course is not None and not pursuit.law.is_lost(T_base_ee, course)
+            content = course is not None and not pursuit.guide.law.is_lost(T_base_ee, course)
             if content or pursuit.failed_at - steps_left < _PATIENCE:
                 return course
         known = pursuit is not None and pursuit.is_of(episode, steps_left)
         pursued = pursuit.pursued if pursuit is not None and known else -1
-        plan, law = self._plan(target, T_base_object, states.q[row], steps_left, pursued)
+        plan, guide = self._plan(target, T_base_object, states.q[row], steps_left, pursued)
         if not plan.ok and pursuit is not None and known and pursuit.plan.ok:
             # Late in an episode there is often no new way: better the grasps known than none.
-            pursuit.T_base_object, pursuit.steps_left, pursuit.failed_at = (
-                T_base_object,
-                steps_left,
-                steps_left,
-            )
+            pursuit.T_base_object = T_base_object
+            pursuit.steps_left = pursuit.failed_at = steps_left
             return self._choose(pursuit, target, T_base_ee, T_base_object)
         pursuit = self._pursuits[world] = _Pursuit(
-            episode, T_base_object, T_base_object, plan, law, steps_left, steps_left
+            episode, T_base_object, T_base_object, plan, guide, steps_left, steps_left
         )
         if not plan.ok:
             pursuit.failed_at = steps_left if plan.status in _MAY_PASS else -_NEVER
@@ -177,17 +187,17 @@ class ExpertPolicy(TensorDictModuleBase):
 
     def _plan(
         self, target: GraspObject, T_base_object: Array, q: Array, steps_left: int, pursued: int
-    ) -> tuple[Plan, Law]:
-        """The planner's plan, or the fallback's where that has none, and the law that goes with it."""
+    ) -> tuple[Plan, _Guide]:
+        """The planner's plan, or the fallback's where that has none, and the guide that made it."""
         scene = (target, T_base_object, q, steps_left, self.horizon)
-        period = self.actions.control_period
-        plan = self.planner.plan(*scene, pursued=pursued, control_period=period)
-        if self.fallback is None or self._fallback_law is None or plan.status not in _HOPEFUL:
-            return plan, self.law
-        other = self.fallback.plan(*scene, pursued=pursued, control_period=period)
-        if other.ok:
-            return other, self._fallback_law
-        return plan, self.law
+        options = {"pursued": pursued, "control_period": self.actions.control_period}
+        own, *others = self._guides
+        plan = own.planner.plan(*scene, **options)
+        for guide in others if plan.status in _HOPEFUL else ():
+            other = guide.planner.plan(*scene, **options)
+            if other.ok:
+                return other, guide
+        return plan, own
 
     def _choose(
         self, pursuit: _Pursuit, target: GraspObject, T_base_ee: Array, T_base_object: Array
@@ -197,12 +207,11 @@ class ExpertPolicy(TensorDictModuleBase):
         if not plan.ok:
             return None
         grasps = T_base_object @ target.grasps[plan.grasps.index].astype(np.float64)
-        if not pursuit.law.any_goal:
+        if not pursuit.guide.law.any_goal:
             return pursuit.course(grasps[plan.chosen], T_base_object)
         cost = pose_distances(T_base_ee, grasps) + plan.penalty
         if pursuit.chosen >= 0:
-            planner = self.planner if pursuit.law is self.law else self.fallback
-            cost[pursuit.chosen] -= (planner or self.planner).choice.loyalty
+            cost[pursuit.chosen] -= pursuit.guide.planner.choice.loyalty
         pursuit.chosen = int(np.argmin(cost))
         return pursuit.course(grasps[pursuit.chosen], T_base_object)
 

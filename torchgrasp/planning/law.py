@@ -25,14 +25,12 @@ class Course:
 
     Attributes:
         plan: the plan that holds.
-        law: that leads along it.
         T_base_goal: (4, 4) the grasp gone for.
         age: control steps since the plan was made.
         shift: (4, 4) what moved the object since then, in the base: identity where it lies still.
     """
 
     plan: Plan
-    law: Law
     T_base_goal: Array
     age: int
     shift: Array
@@ -107,8 +105,8 @@ class PathFollower(Law):
     def is_lost(self, T_base_ee: Array, course: Course) -> bool:
         """See `Law.is_lost`."""
         due = self._due(course, course.age)
-        turn = Rotation.from_matrix(due[:3, :3].T @ T_base_ee[:3, :3]).magnitude()
-        offset = np.linalg.norm(T_base_ee[:3, 3] - due[:3, 3])
+        (way,) = pose_error(T_base_ee[None], due[None])
+        offset, turn = np.linalg.norm(way[:3]), np.linalg.norm(way[3:])
         return bool(offset > self.max_offset or turn > self.max_angle)
 
     @staticmethod

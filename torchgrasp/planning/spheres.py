@@ -10,7 +10,7 @@ import numpy as np
 from torchgrasp.sim.kinematics import JOINT_ORIGINS, Array
 from torchgrasp.sim.panda_tables import ARM_SHAPES, IGNORE_BITS, Shape
 
-_HAND = 7  # index of the hand among the poses of `kinematics.link_poses`
+HAND = 7  # index of the hand among the poses of `kinematics.link_poses`
 # Hand and fingers; a fingertip's sphere is no wider than its pad, the gap between the pads stays open.
 _HAND_SPHERES = (
     *(((0.0, y, z), 0.042) for y in (-0.07, -0.023, 0.023, 0.07) for z in (0.0, 0.028)),
@@ -51,7 +51,7 @@ def arm_spheres() -> Spheres:
                 centre.append(position)
                 radius.append(shape.size[0])
     for position, size in _HAND_SPHERES:
-        link.append(_HAND)
+        link.append(HAND)
         centre.append(np.array(position))
         radius.append(size)
     links = np.array(link)

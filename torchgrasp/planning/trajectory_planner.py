@@ -123,7 +123,7 @@ class TrajectoryPlanner(Planner):
     def _solve(self, query: Query, grasps: ReachableGrasps) -> _Goals:
         """Postures of the grasps, ranked by their toll and the straight way to them in joint space."""
         q, cost = query.q, self.choice.cost(query.target, grasps, query.pursued)
-        found = [kinematics.sample_postures(pose, q)[: self.postures] for pose in grasps.T_base_ee]
+        found = [postures[: self.postures] for postures in grasps.postures]
         rows = np.repeat(np.arange(len(grasps)), [len(postures) for postures in found])
         postures, toll = np.concatenate(found), self.toll * cost[rows]
         order = np.argsort(toll + np.linalg.norm(postures - q, axis=-1), kind="stable")

@@ -20,10 +20,12 @@ class ReachableGrasps:
     Attributes:
         index: (K,) rows of the object's grasp set.
         T_base_ee: (K, 4, 4) hand poses.
+        postures: of each, where `in_reach` solved for them, the arm's (P_i, 7), the nearest first.
     """
 
     index: np.ndarray
     T_base_ee: np.ndarray
+    postures: tuple[np.ndarray, ...] = ()
 
     def __len__(self) -> int:
         return len(self.index)
@@ -44,10 +46,12 @@ def in_reach(grasps: ReachableGrasps, near: np.ndarray, *, at_most: int | None =
         near: (7,) posture around which the null space is searched.
         at_most: stop after so many.
     """
-    kept: list[int] = []
+    kept: dict[int, np.ndarray] = {}
     for row, pose in enumerate(grasps.T_base_ee):
         if len(kept) == at_most:
             break
-        if len(kinematics.sample_postures(pose, near)):
-            kept.append(row)
-    return ReachableGrasps(grasps.index[kept], grasps.T_base_ee[kept])
+        postures = kinematics.sample_postures(pose, near)
+        if len(postures):
+            kept[row] = postures
+    rows = list(kept)
+    return ReachableGrasps(grasps.index[rows], grasps.T_base_ee[rows], tuple(kept.values()))
