@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner."""
+"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner|encoder|update."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 import settings
 import torch
 from clock import Clock
+from learning_bench import benchmark_encoder, benchmark_update
 from omegaconf import DictConfig, OmegaConf
 from planner_bench import benchmark_planner
 from torchrl.envs import EnvBase
@@ -153,7 +154,13 @@ def _resident_megabytes() -> float:
 
 def benchmark(cfg: DictConfig) -> dict:
     """Run the suite; print and write its table."""
-    suites = {"env": benchmark_env, "resets": benchmark_resets, "planner": benchmark_planner}
+    suites = {
+        "env": benchmark_env,
+        "resets": benchmark_resets,
+        "planner": benchmark_planner,
+        "encoder": benchmark_encoder,
+        "update": benchmark_update,
+    }
     if cfg.suite not in suites:
         raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")
     settings.check_values(cfg)

@@ -6,11 +6,15 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal
 
-from torch import nn
+import torch
+from torch import Tensor, nn
 
 from torchgrasp.errors import ConfigError
 
-Norm = Literal["none", "layer", "batch"]
+Norm = Literal["none", "layer", "group", "batch"]
+
+# Wu and He 2018 found 16 channels a group to serve as well as 32 groups.
+_GROUP_CHANNELS = 16
 
 
 def mlp(sizes: Sequence[int], *, norm: Norm = "none", last_activation: bool = False) -> nn.Sequential:
@@ -22,14 +26,28 @@ def mlp(sizes: Sequence[int], *, norm: Norm = "none", last_activation: bool = Fa
 
 
 def norm_layers(norm: Norm, channels: int) -> list[nn.Module]:
-    """The layers, none or one, that `norm` puts between a linear layer and its activation."""
+    """The layers, none or one, that `norm` puts between a linear layer and its activation.
+
+    Groups have 16 channels, or the next larger number that divides `channels`.
+    """
     if norm == "none":
         return []
     if norm == "layer":
         return [nn.LayerNorm(channels)]
+    if norm == "group":
+        sizes = range(min(_GROUP_CHANNELS, channels), channels + 1)
+        return [RowGroupNorm(channels // next(n for n in sizes if channels % n == 0), channels)]
     if norm == "batch":
         return [nn.BatchNorm1d(channels)]
-    raise ConfigError(f"norm={norm!r} is unknown: choose 'none', 'layer' or 'batch'.")
+    raise ConfigError(f"norm={norm!r} is unknown: choose 'none', 'layer', 'group' or 'batch'.")
+
+
+class RowGroupNorm(nn.GroupNorm):
+    """GroupNorm of each row by itself: (*, C) to (*, C)."""
+
+    def forward(self, rows: Tensor) -> Tensor:
+        """Normalise the groups of channels of every row."""
+        return super().forward(rows.flatten(0, -2)).view(rows.shape)
 
 
 def shrink_last_layer(network: nn.Sequential, factor: float) -> None:
@@ -44,3 +62,26 @@ def check_channels(in_channels: int) -> None:
     """Raise ConfigError where a cloud of `in_channels` cannot hold x, y and z."""
     if in_channels < 3:
         raise ConfigError(f"in_channels={in_channels} has no room for xyz: give 3 or more.")
+
+
+def flatten_clouds(points: Tensor, mask: Tensor | None, in_channels: int) -> tuple[Tensor, Tensor | None]:
+    """Clouds (*, N, C) as (B, N, C), their masks (*, N) as (B, N), padding replaced by a point.
+
+    Copies of the first point stand where the mask is false, so that nothing in the padding, NaN
+    included, reaches values or gradients.
+    """
+    if points.ndim < 2 or points.shape[-1] != in_channels or points.shape[-2] == 0:
+        raise ConfigError(
+            f"clouds of shape {tuple(points.shape)} do not go into an encoder of {in_channels} channels: "
+            f"give (*, N, {in_channels}) with N at least 1."
+        )
+    flat = points.reshape(-1, *points.shape[-2:])
+    if mask is None:
+        return flat, None
+    if mask.dtype != torch.bool or mask.shape != points.shape[:-1]:
+        raise ConfigError(
+            f"mask {tuple(mask.shape)} {mask.dtype}: give bool of shape {tuple(points.shape[:-1])}."
+        )
+    mask = mask.reshape(flat.shape[:-1])
+    first = mask.int().argmax(dim=-1)[:, None, None].expand(-1, 1, flat.shape[-1])
+    return torch.where(mask[..., None], flat, flat.gather(1, first)), mask

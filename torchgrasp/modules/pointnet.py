@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchgrasp.errors import check_range
-from torchgrasp.modules.layers import check_channels, mlp
+from torchgrasp.modules.layers import Norm, check_channels, flatten_clouds, mlp
 from torchgrasp.modules.pooling import max_over_rows
 
 
@@ -16,8 +16,8 @@ class PointNet(nn.Module):
     """(*, N, C) clouds to (*, F) features; xyz in metres come first, the other channels are free.
 
     Each point enters as its xyz and its xyz relative to the cloud's centroid, both divided by
-    `scale`, then its other channels. The order of points and repeated points other than in the
-    centroid do not matter.
+    `scale`, then its other channels. The order of points does not matter; repeated points move the
+    centroid and change nothing else.
 
     Args:
         in_channels: C, at least 3.
@@ -25,6 +25,7 @@ class PointNet(nn.Module):
         hidden: widths of the shared layers; the last is the width that the max pools.
         width: factor of `hidden` and `out_features`.
         scale: length in metres that becomes 1: about the size of an object.
+        norm: of the shared layers and the last: 'none', 'layer', 'group' or 'batch' (see PointNet2).
 
     Example:
         >>> encoder = PointNet(4)
@@ -40,6 +41,7 @@ class PointNet(nn.Module):
         hidden: Sequence[int] = (64, 128, 256),
         width: float = 1.0,
         scale: float = 0.1,
+        norm: Norm = "none",
     ) -> None:
         super().__init__()
         check_channels(in_channels)
@@ -50,14 +52,29 @@ class PointNet(nn.Module):
         self.in_channels = in_channels
         self.out_features = out_features
         self.scale = scale
-        self.points = mlp((in_channels + 3, *hidden), last_activation=True)
-        self.cloud = mlp((hidden[-1], out_features), last_activation=True)
+        self.rows_are_independent = norm != "batch"
+        self.points = mlp((in_channels + 3, *hidden), norm=norm, last_activation=True)
+        self.cloud = mlp((hidden[-1], out_features), norm=norm, last_activation=True)
 
-    def forward(self, points: Tensor) -> Tensor:
-        """(*, N, C) clouds to (*, F) features."""
+    def forward(self, points: Tensor, mask: Tensor | None = None) -> Tensor:
+        """(*, N, C) clouds to (*, F) features; `mask` (*, N) bool says which rows are points, all if None.
+
+        A cloud without points is encoded as its first row.
+        """
         batch = points.shape[:-2]
-        points = points.reshape(-1, *points.shape[-2:])
+        points, mask = flatten_clouds(points, mask, self.in_channels)
         xyz = points[..., :3] / self.scale
-        centred = xyz - xyz.mean(dim=-2, keepdim=True)
-        rows = torch.cat((xyz, centred, points[..., 3:]), dim=-1)
-        return self.cloud(max_over_rows(self.points, rows)).reshape(*batch, self.out_features)
+        rows = torch.cat((xyz, xyz - _centroid(xyz, mask), points[..., 3:]), dim=-1)
+        if self.rows_are_independent:
+            pooled = max_over_rows(self.points, rows)
+        else:
+            pooled = self.points(rows.flatten(0, 1)).unflatten(0, rows.shape[:2]).amax(dim=1)
+        return self.cloud(pooled).reshape(*batch, self.out_features)
+
+
+def _centroid(xyz: Tensor, mask: Tensor | None) -> Tensor:
+    """Mean of the points of each (B, N, 3) cloud, (B, 1, 3); of all rows where none is a point."""
+    if mask is None:
+        return xyz.mean(dim=-2, keepdim=True)
+    counted = (mask | ~mask.any(dim=-1, keepdim=True))[..., None]
+    return (xyz * counted).sum(dim=-2, keepdim=True) / counted.sum(dim=-2, keepdim=True)

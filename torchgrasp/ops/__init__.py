@@ -1,7 +1,8 @@
-"""Point operations in pure torch: sampling, neighbourhoods, grouping.
+"""Point operations: sampling, neighbourhoods, grouping.
 
-`reference` spells each operation out as its definition; `points` gives the same answers, bit for
-bit, on batches and fast. Both run wherever torch runs; nothing is compiled.
+`reference` spells each operation out as its definition; the functions here give the same answers, bit
+for bit, on batches and fast, on the CPU (`dense`) and on CUDA devices (`kernels`). Nothing is compiled
+at installation.
 """
 
 from torchgrasp.ops.points import ball_query as ball_query

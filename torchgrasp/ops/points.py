@@ -1,60 +1,75 @@
-"""The operations of `reference`, batched over any leading dimensions, with the same results."""
+"""The operations of `reference` for batches, as torch operators: one kernel a device, the same results.
+
+They are custom operators, so that torch.compile and vmap take each as a whole. On the CPU, and where
+Triton does not work, `dense` computes them; on a CUDA device the kernels of `kernels` do.
+"""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, check_range, check_whole
+from torchgrasp.ops import dense
+from torchgrasp.ops.cuda import cuda_kernels
 
-_INDEX_BITS = 32
-
-
-def _squared_distance(points: Tensor, centre: Tensor) -> Tensor:
-    """(*, N, 3) and (*, M, 3) to (*, M, N), m^2. Expanding the square would round otherwise than `reference`.
-
-    One coordinate at a time: differences as (*, M, N, 3) would be read three times over.
-    """
-    (x, y, z), (cx, cy, cz) = points.unbind(-1), centre.unbind(-1)
-    total = (x[..., None, :] - cx[..., :, None]).square_()
-    total += (y[..., None, :] - cy[..., :, None]).square_()
-    total += (z[..., None, :] - cz[..., :, None]).square_()
-    return total
+Start = Literal["first", "outermost", "random"]
 
 
-def farthest_point_sample(xyz: Tensor, num: int) -> Tensor:
+def farthest_point_sample(
+    xyz: Tensor,
+    num: int,
+    *,
+    mask: Tensor | None = None,
+    start: Start = "first",
+    generator: torch.Generator | None = None,
+) -> Tensor:
     """(*, N, 3) points, metres, to (*, num) int64 indices, each the farthest from all before it.
 
-    Deterministic: starts at index 0, ties go to the lower index; once every point coincides with a
-    chosen one, index 0 repeats.
+    Ties go to the lower index; once every point coincides with a chosen one, the point of the lowest
+    index repeats. Distances are computed in float32 at least. No gradient passes.
+
+    Args:
+        xyz: the clouds; float32, float64, float16 or bfloat16.
+        num: how many to choose.
+        mask: (*, N) bool: which rows are points; the others are padding and never chosen. A cloud
+            without points gives index 0 throughout.
+        start: the point chosen first: 'first', of the lowest index; 'outermost', the farthest from the
+            centre of the cloud's bounding box, which does not depend on the points' order; 'random'.
+        generator: of the random start; torch's own without one.
 
     Example:
         >>> line = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [9, 0, 0]])
         >>> farthest_point_sample(line, 3)
         tensor([0, 3, 2])
+        >>> farthest_point_sample(line, 2, mask=torch.tensor([False, True, True, True]))
+        tensor([1, 3])
     """
-    if xyz.shape[-2] == 0 or num < 1:
-        raise ConfigError(f"cannot choose {num} of {xyz.shape[-2]} points: give both at least one.")
+    _check_cloud(xyz, mask)
+    check_whole("num", num, 1)
     with torch.no_grad():
-        return _farthest(xyz.detach(), num)
+        return _farthest_op(xyz.detach(), _first(xyz, mask, start, generator), mask, num)
 
 
-def _farthest(xyz: Tensor, num: int) -> Tensor:
-    index = torch.zeros((*xyz.shape[:-2], num), dtype=torch.long, device=xyz.device)
-    nearest = torch.full(xyz.shape[:-1], torch.inf, dtype=xyz.dtype, device=xyz.device)
-    for i in range(1, num):
-        last = index[..., i - 1, None, None].expand(*xyz.shape[:-2], 1, 3)
-        nearest = torch.minimum(nearest, _squared_distance(xyz, xyz.gather(-2, last)).squeeze(-2))
-        index[..., i] = nearest.argmax(dim=-1)
-    return index
-
-
-def ball_query(xyz: Tensor, centres: Tensor, radius: float, num: int) -> Tensor:
+def ball_query(
+    xyz: Tensor, centres: Tensor, radius: float, num: int, *, mask: Tensor | None = None
+) -> Tensor:
     """(*, N, 3) points and (*, M, 3) centres, metres, to (*, M, num) int64 indices of neighbours.
 
     Neighbours are the `num` nearest points at most `radius` metres away, nearest first, ties to the
     lower index. Where fewer are in the ball, the nearest point of all fills the remaining places,
     even from outside the ball: a centre that is one of the points is always in its own ball.
+    Distances are computed in float32 at least. No gradient passes.
+
+    Args:
+        xyz: the clouds; float32, float64, float16 or bfloat16.
+        centres: of the balls, of the clouds' type.
+        radius: metres.
+        num: places a ball.
+        mask: (*, N) bool: which rows are points; the others are nobody's neighbour. A cloud without
+            points gives index 0 throughout.
 
     Example:
         >>> line = torch.tensor([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [9, 0, 0]])
@@ -62,34 +77,22 @@ def ball_query(xyz: Tensor, centres: Tensor, radius: float, num: int) -> Tensor:
         tensor([[1, 0, 2, 1],
                 [3, 3, 3, 3]])
     """
+    _check_cloud(xyz, mask)
+    check_whole("num", num, 1)
+    check_range("radius", radius, 0.0, float("inf"))
+    if centres.shape[-1] != 3 or centres.shape[:-2] != xyz.shape[:-2] or centres.dtype != xyz.dtype:
+        raise ConfigError(
+            f"centres {tuple(centres.shape)} {centres.dtype} do not go with points {tuple(xyz.shape)} "
+            f"{xyz.dtype}: give (*, M, 3) of the same leading dimensions and type."
+        )
     with torch.no_grad():
-        distance = _squared_distance(xyz, centres)
-        index, inside = _nearest(distance, radius, min(num, xyz.shape[-2]))
-        index = torch.where(inside, index, index[..., :1])
-        padding = index[..., :1].expand(*index.shape[:-1], num - index.shape[-1])
-        return torch.cat((index, padding), dim=-1)
-
-
-def _nearest(distance: Tensor, radius: float, num: int) -> tuple[Tensor, Tensor]:
-    """Indices of the `num` smallest of (*, N) squared distances, and which lie within `radius`.
-
-    topk alone leaves ties to chance. A float32 that is not negative orders as its bits do, so the
-    index below those bits settles them, at the price of a topk over integers.
-    """
-    limit = torch.tensor(radius**2, dtype=distance.dtype).item()
-    if distance.dtype != torch.float32:
-        ordered, index = distance.sort(dim=-1, stable=True)
-        return index[..., :num], ordered[..., :num] <= limit
-    position = torch.arange(distance.shape[-1], device=distance.device)
-    bits = distance.contiguous().view(torch.int32).long()
-    key = bits.bitwise_left_shift_(_INDEX_BITS).bitwise_or_(position)
-    key = key.topk(num, dim=-1, largest=False, sorted=True).values
-    index = key & ((1 << _INDEX_BITS) - 1)
-    return index, distance.gather(-1, index) <= limit
+        return _ball_op(xyz.detach(), centres.detach(), mask, float(radius), num)
 
 
 def group(features: Tensor, index: Tensor) -> Tensor:
     """(*, N, C) features and (*, M, K) indices to the (*, M, K, C) features that they name.
+
+    Gradients pass to the features.
 
     Example:
         >>> group(torch.tensor([[5.0], [6.0]]), torch.tensor([[1, 0], [1, 1]])).squeeze(-1)
@@ -99,3 +102,74 @@ def group(features: Tensor, index: Tensor) -> Tensor:
     channels = features.shape[-1]
     flat = index.flatten(-2)[..., None].expand(*index.shape[:-2], -1, channels)
     return features.gather(-2, flat).unflatten(-2, index.shape[-2:])
+
+
+def _check_cloud(xyz: Tensor, mask: Tensor | None) -> None:
+    if xyz.ndim < 2 or xyz.shape[-1] != 3 or xyz.shape[-2] == 0 or not xyz.is_floating_point():
+        raise ConfigError(
+            f"points of shape {tuple(xyz.shape)} and type {xyz.dtype}: give (*, N, 3) numbers, N at least 1."
+        )
+    if mask is not None and (mask.dtype != torch.bool or mask.shape != xyz.shape[:-1]):
+        raise ConfigError(
+            f"mask {tuple(mask.shape)} {mask.dtype}: give bool of shape {tuple(xyz.shape[:-1])}."
+        )
+
+
+def _first(
+    xyz: Tensor, mask: Tensor | None, start: Start, generator: torch.Generator | None
+) -> Tensor | None:
+    """(*) int64: the index that sampling begins with; None for the outermost, which the operator finds."""
+    if start == "outermost":
+        return None
+    if start == "first":
+        rank = -torch.arange(xyz.shape[-2], device=xyz.device).expand(xyz.shape[:-1])
+    elif start == "random":
+        rank = torch.rand(xyz.shape[:-1], generator=generator, device=xyz.device)
+    else:
+        raise ConfigError(f"start={start!r} is unknown: choose 'first', 'outermost' or 'random'.")
+    # Padding ranks below every point; of equals argmax takes the first.
+    rank = rank if mask is None else rank.masked_fill(~mask, -xyz.shape[-2])
+    return rank.argmax(dim=-1)
+
+
+@torch.library.custom_op("torchgrasp::farthest_point_sample", mutates_args=())
+def _farthest_op(xyz: Tensor, first: Tensor | None, mask: Tensor | None, num: int) -> Tensor:
+    first = dense.outermost_point(xyz, mask) if first is None else first
+    if (kernels := cuda_kernels(xyz)) is not None:
+        return kernels.farthest_point_sample(xyz, first, mask, num)
+    return dense.farthest_point_sample(xyz, first, mask, num)
+
+
+@torch.library.custom_op("torchgrasp::ball_query", mutates_args=())
+def _ball_op(xyz: Tensor, centres: Tensor, mask: Tensor | None, radius: float, num: int) -> Tensor:
+    if (kernels := cuda_kernels(xyz)) is not None:
+        return kernels.ball_query(xyz, centres, mask, radius, num)
+    return dense.ball_query(xyz, centres, mask, radius, num)
+
+
+@_farthest_op.register_fake
+def _(xyz: Tensor, first: Tensor | None, mask: Tensor | None, num: int) -> Tensor:
+    return xyz.new_empty((*xyz.shape[:-2], num), dtype=torch.int64)
+
+
+@_ball_op.register_fake
+def _(xyz: Tensor, centres: Tensor, mask: Tensor | None, radius: float, num: int) -> Tensor:
+    return centres.new_empty((*centres.shape[:-1], num), dtype=torch.int64)
+
+
+@_farthest_op.register_vmap
+def _(info, in_dims, xyz, first, mask, num):
+    tensors = _stack_first(info.batch_size, in_dims, xyz, first, mask)
+    return _farthest_op(*tensors, num), 0
+
+
+@_ball_op.register_vmap
+def _(info, in_dims, xyz, centres, mask, radius, num):
+    tensors = _stack_first(info.batch_size, in_dims, xyz, centres, mask)
+    return _ball_op(*tensors, radius, num), 0
+
+
+def _stack_first(size: int, dims: tuple, *tensors: Tensor | None) -> list:
+    """The tensors with the mapped dimension in front: the operators take any leading dimensions."""
+    pairs = zip(tensors, dims, strict=False)
+    return [t if t is None else t.expand(size, *t.shape) if d is None else t.movedim(d, 0) for t, d in pairs]

@@ -1,0 +1,106 @@
+# pyright: reportCallIssue=false
+"""Point operations as Triton kernels, compiled when first called. Imported on CUDA devices alone.
+
+A program holds one cloud's coordinates in registers: sampling then reads memory once instead of once a
+chosen point, and the ball query writes no (M, N) distances. Fusing multiplications into additions is
+switched off, so that distances are those of `reference` to the bit.
+"""
+
+from __future__ import annotations
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+
+def farthest_point_sample(xyz: Tensor, first: Tensor, mask: Tensor | None, num: int) -> Tensor:
+    """(*, N, 3) clouds and the (*) index to begin with to (*, num) int64 indices."""
+    points, hidden = _flat(xyz, mask)
+    clouds, num_points, _ = points.shape
+    index = torch.empty((clouds, num), dtype=torch.int64, device=xyz.device)
+    first = first.reshape(-1).contiguous()
+    block = triton.next_power_of_2(num_points)
+    _farthest[(clouds,)](
+        points, hidden, first, index, num_points, num, mask is not None, BLOCK=block, enable_fp_fusion=False
+    )
+    return index.reshape(*xyz.shape[:-2], num)
+
+
+def ball_query(xyz: Tensor, centres: Tensor, mask: Tensor | None, radius: float, num: int) -> Tensor:
+    """(*, N, 3) points and (*, M, 3) centres to (*, M, num) int64 indices."""
+    points, hidden = _flat(xyz, mask)
+    middle = centres.reshape(-1, *centres.shape[-2:]).float().contiguous()
+    (clouds, num_points, _), num_centres = points.shape, middle.shape[1]
+    index = torch.empty((clouds, num_centres, num), dtype=torch.int64, device=xyz.device)
+    limit = torch.tensor(radius**2, dtype=torch.float32).item()
+    block = triton.next_power_of_2(num_points)
+    _ball[(clouds, num_centres)](
+        *(points, hidden, middle, index, num_points, num_centres, num, limit, mask is not None),
+        BLOCK=block,
+        enable_fp_fusion=False,
+    )
+    return index.reshape(*centres.shape[:-1], num)
+
+
+def _flat(xyz: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
+    """Clouds as (B, N, 3) float32, and their masks as (B, N); the points themselves where there is none."""
+    points = xyz.reshape(-1, *xyz.shape[-2:]).float().contiguous()
+    return points, points if mask is None else mask.reshape(points.shape[:-1]).contiguous()
+
+
+@triton.jit
+def _load_cloud(points, hidden, cloud, num_points, masked: tl.constexpr, BLOCK: tl.constexpr):
+    row = tl.arange(0, BLOCK)
+    inside = row < num_points
+    at = points + (cloud * num_points + row) * 3
+    x = tl.load(at, mask=inside, other=0.0)
+    y = tl.load(at + 1, mask=inside, other=0.0)
+    z = tl.load(at + 2, mask=inside, other=0.0)
+    valid = inside
+    if masked:
+        valid = tl.load(hidden + cloud * num_points + row, mask=inside, other=0).to(tl.int1)
+    return row, inside, valid, x, y, z
+
+
+@triton.jit
+def _farthest(points, hidden, first, index, num_points, num, masked: tl.constexpr, BLOCK: tl.constexpr):
+    cloud = tl.program_id(0).to(tl.int64)
+    _row, inside, valid, x, y, z = _load_cloud(points, hidden, cloud, num_points, masked, BLOCK)
+    # Padding lies nearer than any point, and what is beyond the cloud nearer than padding.
+    nearest = tl.where(valid, float("inf"), tl.where(inside, -1.0, -2.0))
+    last = tl.load(first + cloud)
+    tl.store(index + cloud * num, last)
+    for i in range(1, num):
+        at = points + (cloud * num_points + last) * 3
+        dx, dy, dz = x - tl.load(at), y - tl.load(at + 1), z - tl.load(at + 2)
+        nearest = tl.minimum(nearest, dx * dx + dy * dy + dz * dz)
+        last = tl.argmax(nearest, axis=0).to(tl.int64)
+        tl.store(index + cloud * num + i, last)
+
+
+@triton.jit
+def _ball(
+    points,
+    hidden,
+    middle,
+    index,
+    num_points,
+    num_centres,
+    num,
+    limit,
+    masked: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    cloud = tl.program_id(0).to(tl.int64)
+    centre = cloud * num_centres + tl.program_id(1)
+    row, _inside, valid, x, y, z = _load_cloud(points, hidden, cloud, num_points, masked, BLOCK)
+    at = middle + centre * 3
+    dx, dy, dz = x - tl.load(at), y - tl.load(at + 1), z - tl.load(at + 2)
+    distance = tl.where(valid, dx * dx + dy * dy + dz * dz, float("inf"))
+    filler = tl.argmin(distance, axis=0)
+    for k in range(0, num):
+        found = tl.argmin(distance, axis=0)
+        near = tl.min(distance, axis=0) <= limit
+        tl.store(index + centre * num + k, tl.where(near, found, filler).to(tl.int64))
+        distance = tl.where(row == found, float("inf"), distance)
