@@ -18,7 +18,7 @@ from torchgrasp import keys
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, estimate_bytes, open_demonstrations
 from torchgrasp.data.files import find_folder
 from torchgrasp.data.kinds import find_counted, resolve_count
-from torchgrasp.errors import CheckpointError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import (
     cosine_schedule,
@@ -98,14 +98,21 @@ class Learner:
             seed=cfg.seed,
             folder=cfg.replay.folder,
             num_points=self._num_points,
-            codec=CompactTransitions(state_keys=self._state_keys()),
+            codec=self._make_codec(),
             transform=instantiate(cfg.replay.augment),
         )
 
-    def _state_keys(self) -> tuple[str, ...]:
-        """What the networks read of state and next state besides the cloud."""
+    def _make_codec(self) -> CompactTransitions:
+        """Transitions whose states hold the goal where a network reads it."""
         goal = reads_goal(self.actor) or reads_goal(self.critic)
-        return (keys.TIME_LEFT, keys.GOAL) if goal else (keys.TIME_LEFT,)
+        codec = CompactTransitions(state_keys=(keys.TIME_LEFT, *([keys.GOAL] if goal else [])))
+        read = {key for each in self.networks.values() for key in each.in_keys} - {keys.ACTION}
+        if absent := read - set(codec.observation_keys):
+            raise ConfigError(
+                f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer does not "
+                "hold: take a model that reads points, such as model=pointnet2."
+            )
+        return codec
 
     def load_demonstrations(self) -> None:
         """Fill D_expert with the demonstrations' steps that count, by default the successful ones."""

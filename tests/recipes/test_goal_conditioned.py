@@ -142,3 +142,11 @@ def test_demonstrations_of_a_goal_conditioned_learner_keep_the_labels(composed, 
 def test_a_switch_that_is_none_is_refused(composed):
     with pytest.raises(ConfigError, match=r"model.actor.goal_input=maybe"):
         td3_bc.train(composed("experiment=smoke", "model.actor.goal_input=maybe"))
+
+
+def test_networks_that_read_what_is_not_stored_are_refused(composed, tmp_path):
+    cfg = composed("experiment=smoke", "model=resnet18", "model.width=0.25")
+    with common.make_pool(cfg) as pool:
+        collect.collect(cfg, pool, tmp_path / "demos")
+    with pytest.raises(ConfigError, match="image"):
+        Learner(cfg, common.count_points(cfg)).make_buffer(tmp_path / "demos")
