@@ -95,7 +95,8 @@ def make_collector(cfg: DictConfig) -> TensorDictSequential:
     if kind == "learner":
         check_learner(cfg)
         learner = common.for_workers(policies.make_policy(cfg, str(cfg.demonstrations.policy)))
-        modules: list = [common.make_expert(cfg, "train", execute=False), learner]
+        # The label comes last: a goal network writes its prediction where the label's goal belongs.
+        modules: list = [learner, common.make_expert(cfg, "train", execute=False)]
         if cfg.demonstrations.expert_start:
             modules.append(instantiate(cfg.collector.expert_start))
         return TensorDictSequential(*modules)

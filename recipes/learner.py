@@ -8,15 +8,18 @@ from pathlib import Path
 
 import torch
 from hydra.utils import instantiate
+from networks import join_policy, make_networks, predicts_goal, reads_goal
 from omegaconf import DictConfig
 from origin import check_rows
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 
-from torchgrasp.data import MixtureReplayBuffer, estimate_bytes, open_demonstrations
+from torchgrasp import keys
+from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, estimate_bytes, open_demonstrations
 from torchgrasp.data.files import find_folder
 from torchgrasp.data.kinds import find_counted, resolve_count
-from torchgrasp.errors import CheckpointError
-from torchgrasp.objectives import PoseBCLoss, StaggeredTargetUpdate
+from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import (
     cosine_schedule,
     get_rng_state,
@@ -31,7 +34,7 @@ _RECENT_EPISODES = 200
 
 
 class Learner:
-    """Actor, critic, losses, optimizers, replay buffer and counters of one run.
+    """Networks, losses, optimizers, replay buffer and counters of one run.
 
     Args:
         cfg: the recipe's configuration.
@@ -41,16 +44,18 @@ class Learner:
     def __init__(self, cfg: DictConfig, num_points: int) -> None:
         seed_everything(cfg.seed)
         self.cfg = cfg
-        self.actor = instantiate(cfg.model.actor).to(cfg.device)
-        self.critic = instantiate(cfg.model.critic).to(cfg.device)
+        self.networks = {name: each.to(cfg.device) for name, each in make_networks(cfg.model).items()}
+        self.actor, self.critic = self.networks["actor"], self.networks["critic"]
         self.loss = instantiate(cfg.loss, self.actor, self.critic).to(cfg.device)
         self.loss.make_value_estimator(gamma=cfg.online.gamma)
         self.targets = StaggeredTargetUpdate(self.loss, tau=cfg.online.tau, period=cfg.online.period)
-        self.imitation = PoseBCLoss(self.actor, aux_weight=cfg.pretrain.aux_weight)
-        self.optimizers = {
-            "actor": torch.optim.Adam(self.actor.parameters()),
-            "critic": torch.optim.Adam(self.critic.parameters()),
-        }
+        aux_weight = cfg.pretrain.aux_weight if predicts_goal(self.actor) else 0.0
+        self.imitation = PoseBCLoss(self.actor, aux_weight=aux_weight)
+        self.grasp_prediction: GoalAuxLoss | None = None
+        if "goal_network" in self.networks:
+            self.grasp_prediction = GoalAuxLoss(self.networks["goal_network"])
+            self.grasp_prediction.set_keys(goal_prediction=keys.GOAL)
+        self.optimizers = {name: torch.optim.Adam(each.parameters()) for name, each in self.networks.items()}
         self.noise = instantiate(cfg.collector.noise).to(cfg.device)
         self.expert_start = instantiate(cfg.collector.expert_start)
         self.buffer: MixtureReplayBuffer
@@ -71,6 +76,11 @@ class Learner:
         """Seconds spent on this run, those before a resume included."""
         return self._earlier_seconds + time.monotonic() - self._started
 
+    @property
+    def policy(self) -> TensorDictModuleBase:
+        """What is evaluated."""
+        return join_policy(self.networks)
+
     def make_buffer(self, demonstrations: Path) -> None:
         """An empty buffer with room for the demonstrations below the path."""
         cfg, opened = self.cfg, open_demonstrations(demonstrations)
@@ -88,8 +98,21 @@ class Learner:
             seed=cfg.seed,
             folder=cfg.replay.folder,
             num_points=self._num_points,
+            codec=self._make_codec(),
             transform=instantiate(cfg.replay.augment),
         )
+
+    def _make_codec(self) -> CompactTransitions:
+        """Transitions whose states hold the goal where a network reads it."""
+        goal = reads_goal(self.actor) or reads_goal(self.critic)
+        codec = CompactTransitions(state_keys=(keys.TIME_LEFT, *([keys.GOAL] if goal else [])))
+        read = {key for each in self.networks.values() for key in each.in_keys} - {keys.ACTION}
+        if absent := read - set(codec.observation_keys):
+            raise ConfigError(
+                f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer does not "
+                "hold: take a model that reads points, such as model=pointnet2."
+            )
+        return codec
 
     def load_demonstrations(self) -> None:
         """Fill D_expert with the demonstrations' steps that count, by default the successful ones."""
@@ -116,9 +139,9 @@ class Learner:
     def imitate(self, batch: TensorDictBase) -> dict[str, float]:
         """One update of imitation and goal prediction, of the critic too where configured."""
         rate = self.cfg.pretrain.learning_rate * self._imitation_rate(self.pretrain_steps)
-        self._set_rate("actor", rate)
-        self._set_rate("critic", rate)
-        metrics = self._descend("actor", self.imitation(batch))
+        for name in self.optimizers:
+            self._set_rate(name, rate)
+        metrics = self._descend("actor", self.imitation(batch)) | self._update_goal_network(batch)
         if self.cfg.pretrain.critic:
             metrics |= self.update_critic(batch)
         else:
@@ -134,8 +157,14 @@ class Learner:
         return metrics
 
     def update_actor(self, batch: TensorDictBase) -> dict[str, float]:
-        """One update after Eq. (4)."""
-        return self._descend("actor", self.loss.actor_loss(batch))
+        """One update after Eq. (4), and one of the goal network where there is one."""
+        return self._descend("actor", self.loss.actor_loss(batch)) | self._update_goal_network(batch)
+
+    def _update_goal_network(self, batch: TensorDictBase) -> dict[str, float]:
+        """Grasp prediction alone, on the labels (Table 5, Goal-Conditioned)."""
+        if self.grasp_prediction is None:
+            return {}
+        return self._descend("goal_network", self.grasp_prediction(batch))
 
     def _descend(self, name: str, terms: TensorDictBase) -> dict[str, float]:
         optimizer = self.optimizers[name]
@@ -165,6 +194,7 @@ class Learner:
             run_dir / "checkpoint",
             {
                 "loss": self.loss.state_dict(),
+                "goal_network": self._goal_state(),
                 "targets": self.targets.state_dict(),
                 "optimizers": {name: each.state_dict() for name, each in self.optimizers.items()},
                 "noise": self.noise.state_dict(),
@@ -178,6 +208,9 @@ class Learner:
                 },
             },
         )
+
+    def _goal_state(self) -> dict:
+        return self.networks["goal_network"].state_dict() if self.grasp_prediction else {}
 
     def resume(self, run_dir: Path) -> bool:
         """Take up the checkpoint of `run_dir`; False where it has none yet."""
@@ -195,6 +228,8 @@ class Learner:
     def _take_up(self, state: dict) -> None:
         self.loss.load_state_dict(state["loss"])
         self.targets.load_state_dict(state["targets"])
+        if self.grasp_prediction:
+            self.networks["goal_network"].load_state_dict(state["goal_network"])
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
         self.noise.load_state_dict(state["noise"])

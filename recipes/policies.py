@@ -6,7 +6,8 @@ from pathlib import Path
 
 import common
 from hydra.utils import instantiate
-from omegaconf import DictConfig, OmegaConf
+from networks import join_policy, make_acting
+from omegaconf import DictConfig
 from settings import weights_file
 from tensordict.nn import TensorDictModuleBase
 
@@ -42,14 +43,15 @@ def make_planning(cfg: DictConfig) -> OpenLoopPolicy:
 
 
 def load_actor(path: Path) -> TensorDictModuleBase:
-    """The trained actor of a run directory or weights file."""
+    """The trained actor of a run directory or weights file, behind its goal network if it reads goals."""
     states, config = load_weights(weights_file(path))
-    actor = instantiate(OmegaConf.create(config["model"]).actor)
+    networks = make_acting(config["model"])
     try:
-        actor.load_state_dict(states["actor"])
+        for name, network in networks.items():
+            network.load_state_dict(states[name])
     except (KeyError, RuntimeError) as error:
         raise CheckpointError(f"{path} holds weights of another network: {error}") from error
-    return actor
+    return join_policy(networks)
 
 
 def _relay(cfg: DictConfig, name: str, first: TensorDictModuleBase, second: TensorDictModuleBase) -> Relay:

@@ -37,7 +37,14 @@ _AT_LEAST = {
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
     "video.episodes": 0, "collector.num_workers": 0, "env.num_envs": 1, "env.horizon": 1,
 }  # fmt: skip
-_SWITCHES = ("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard")
+_SWITCHES = (
+    *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard"),
+    *(
+        f"model.{network}.{name}"
+        for network in ("actor", "critic")
+        for name in ("goal_input", "goal_prediction", "freeze_encoder")
+    ),
+)
 # What disturbs the expert in demonstrations of a kind: entries of conf/collector.
 DISTURBANCE = {"perturbed": "disturb", "failed": "disturb_to_fail"}
 

@@ -48,12 +48,12 @@ def train(cfg: DictConfig) -> dict:
         )
         pretrain(cfg, learner, logger, run_dir)
         if cfg.pretrain.steps and cfg.total_env_steps and "bc" not in learner.results:
-            learner.results["bc"] = common.evaluate(cfg, pool, learner.actor, "imitation alone")
+            learner.results["bc"] = common.evaluate(cfg, pool, learner.policy, "imitation alone")
             learner.checkpoint(run_dir)
         reinforce(cfg, learner, logger, pool, run_dir)
         save_weights(
             run_dir / "weights.safetensors",
-            {"actor": learner.actor, "critic": learner.critic},
+            learner.networks,
             OmegaConf.to_container(cfg, resolve=True),  # pyright: ignore[reportArgumentType]
         )
         return conclude(cfg, learner, logger, pool, run_dir)
@@ -80,7 +80,7 @@ def reinforce(
 ) -> None:
     """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4)."""
     rounds = -(-cfg.collector.episodes // cfg.env.num_envs)
-    labels = common.make_expert(cfg, "train", execute=False)
+    labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
     policy = TensorDictSequential(*modules)
     progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
@@ -120,7 +120,7 @@ def conclude(
     cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> dict:
     """Measure the policy beside the baselines on the same scenes; write and print summary.json."""
-    tables = {"policy": common.evaluate(cfg, pool, learner.actor, "policy")}
+    tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy")}
     if "bc" in learner.results:
         tables["policy after imitation alone"] = learner.results["bc"]
     for name in cfg.evaluation.baselines:

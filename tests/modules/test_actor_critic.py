@@ -11,9 +11,10 @@ from torchrl.objectives import SoftUpdate, TD3Loss
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_BOUND
-from torchgrasp.modules import GraspActor, GraspCritic, PointNet, PointNet2
+from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic, PointNet, PointNet2, ResNet18
 
 SMALL = partial(PointNet, out_features=16, hidden=(8, 16))
+IMAGE = ["image", "time_left"]
 
 
 def _batch(*shape):
@@ -67,17 +68,87 @@ def test_early_fusion_gives_the_encoder_the_action():
 
 def test_keys_are_settable():
     actor = GraspActor(
-        SMALL, in_keys=[("obs", "cloud"), "clock"], out_keys=[("policy", "move")], action_bound=[1.0, 2.0]
+        SMALL,
+        in_keys=[("obs", "cloud"), "clock"],
+        goal_input=True,
+        goal_key=("obs", "grasp"),
+        goal_prediction=False,
+        out_keys=[("policy", "move")],
+        action_bound=[1.0, 2.0],
     )
-    td = TensorDict({"obs": {"cloud": torch.rand(2, 9, 4)}, "clock": torch.ones(2, 1)}, [2])
+    seen = {"cloud": torch.rand(2, 9, 4), "grasp": torch.zeros(2, 7)}
+    td = TensorDict({"obs": seen, "clock": torch.ones(2, 1)}, [2])
     assert actor(td)["policy", "move"].shape == (2, 2)
     assert "goal_prediction" not in td
 
 
-def test_a_goal_conditioned_actor():
-    actor = GraspActor(SMALL, vector_size=8, in_keys=["points", "time_left", "goal"])
-    batch = _batch(2).set("goal", torch.rand(2, 7))
-    assert actor(batch)["action"].shape == (2, 6)
+@pytest.mark.parametrize("goal_input", [True, False])
+@pytest.mark.parametrize("make", [GraspActor, GraspCritic])
+def test_the_goal_counts_where_it_is_an_input(make, goal_input):
+    network = make(SMALL, goal_input=goal_input)
+    batch = _batch(4).set("goal", torch.zeros(4, 7))
+    assert ("goal" in network.in_keys) is goal_input
+    other = batch.clone().set("goal", torch.ones(4, 7))
+    first, second = (network(td)[network.out_keys[0]] for td in (batch, other))
+    assert (first != second).all() if goal_input else torch.equal(first, second)
+
+
+@pytest.mark.parametrize("make", [GraspActor, GraspCritic])
+def test_the_goal_head_can_be_left_out(make):
+    network = make(SMALL, goal_prediction=False)
+    assert len(network.out_keys) == 1 and not any("goal" in name for name, _ in network.named_parameters())
+
+
+def test_a_goal_network_writes_what_labels_look_like():
+    """A unit quaternion with w >= 0, whatever sign its head gives to the same rotation."""
+    network, batch = GoalPredictor(SMALL), _batch(8)
+    network.module.goal_head.layers[-1].bias.data.neg_()
+    goal = network(batch)["goal"]
+    feature = torch.cat((network.module.encoder(batch["points"]), batch["time_left"]), dim=-1)
+    raw = network.module.goal_head(feature)
+    assert (raw[:, 6] < 0).all()
+    assert (goal[:, 6] >= 0).all()
+    torch.testing.assert_close(goal[:, 3:].norm(dim=-1), torch.ones(8))
+    torch.testing.assert_close(goal, torch.cat((raw[:, :3], -raw[:, 3:]), dim=-1))
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (2, 3)])
+@pytest.mark.parametrize("fusion", ["early", "late"])
+def test_images(shape, fusion):
+    encoder = partial(ResNet18, width=0.25)
+    actor = GraspActor(encoder, in_channels=5, in_keys=IMAGE, goal_input=True)
+    critic = GraspCritic(encoder, in_channels=5, in_keys=[*IMAGE, "action"], fusion=fusion)
+    assert critic.module.encoder.in_channels == (11 if fusion == "early" else 5)
+    seen = {"image": torch.rand(*shape, 5, 32, 32), "goal": torch.zeros(*shape, 7)}
+    written = critic(actor(_batch(*shape).update(seen)))
+    assert written["action"].shape == (*shape, 6)
+    assert written["state_action_value"].shape == (*shape, 2)
+
+
+class Recorder(nn.Module):
+    """Keeps what it is given, and says where its channels are."""
+
+    def __init__(self, channel_dim):
+        super().__init__()
+        self.out_features, self.channel_dim = 1, channel_dim
+
+    def forward(self, observed):
+        self.observed = observed
+        return observed.flatten(1).sum(dim=1, keepdim=True)
+
+
+@pytest.mark.parametrize(("dim", "shape"), [(-1, (2, 9, 4)), (-3, (2, 4, 5, 7))])
+def test_early_fusion_joins_the_action_in_units_of_its_bound(dim, shape):
+    encoder = Recorder(dim)
+    action = torch.tensor([[0.03, 0.0], [-0.06, 0.5]])
+    td = TensorDict({"points": torch.rand(shape), "time_left": torch.ones(2, 1), "action": action}, [2])
+    GraspCritic(encoder, action_bound=[0.06, 1.0])(td)
+    own, joined = encoder.observed.split((4, 2), dim=dim)
+    assert torch.equal(own, td["points"])
+    for row, values in enumerate([(0.5, 0.0), (-1.0, 0.5)]):
+        for channel, value in enumerate(values):
+            everywhere = joined[row].select(dim, channel)
+            torch.testing.assert_close(everywhere, torch.full_like(everywhere, value))
 
 
 def test_dispatch():
@@ -91,20 +162,43 @@ def test_a_finished_encoder_is_used_as_it_is():
     assert GraspActor(encoder).module.encoder is encoder
 
 
+def _torchrl_loss(encoder, *, vmap):
+    """Terms of torchrl's TD3Loss with two critics, and the encoder of the actor."""
+    spec = Bounded(-torch.tensor(ACTION_BOUND), torch.tensor(ACTION_BOUND))
+    options = {"goal_input": True, "goal_prediction": False}
+    networks = GraspActor(encoder, **options), GraspCritic(encoder, num_q=1, **options)
+    loss = TD3Loss(*networks, action_spec=spec, deactivate_vmap=not vmap)
+    SoftUpdate(loss, tau=0.01)
+    end = torch.zeros(3, 1).bool()
+    state = _batch(3).set("goal", torch.rand(3, 7))
+    following = state.exclude("action").update({"reward": torch.ones(3, 1), "done": end, "terminated": end})
+    return loss(state.set("next", following)), networks[0].module.encoder
+
+
 @pytest.mark.parametrize("encoder", [SMALL, partial(PointNet2, width=0.1)])
 def test_torchrls_own_loss_takes_them(encoder):
-    spec = Bounded(-torch.tensor(ACTION_BOUND), torch.tensor(ACTION_BOUND))
-    networks = GraspActor(encoder), GraspCritic(encoder, num_q=1)
-    loss = TD3Loss(*networks, action_spec=spec, deactivate_vmap=True)
-    SoftUpdate(loss, tau=0.01)
-    ends = {
-        "reward": torch.ones(3, 1),
-        "done": torch.zeros(3, 1).bool(),
-        "terminated": torch.zeros(3, 1).bool(),
-    }
-    out = loss(_batch(3).set("next", _batch(3).exclude("action").update(ends)))
+    out, built = _torchrl_loss(encoder, vmap=False)
     (out["loss_actor"] + out["loss_qvalue"]).backward()
-    assert all(p.grad is not None for p in networks[0].module.encoder.parameters())
+    assert all(p.grad is not None for p in built.parameters())
+
+
+class Mean(nn.Module):
+    """The simplest encoder: one layer on each point, then the mean."""
+
+    def __init__(self, in_channels):
+        super().__init__()
+        self.out_features = 8
+        self.layer = nn.Linear(in_channels, 8)
+
+    def forward(self, points):
+        return self.layer(points).relu().mean(dim=-2)
+
+
+def test_torchrls_own_loss_takes_them_by_its_vmap():
+    """Heads and fusion put nothing in vmap's way."""
+    out, built = _torchrl_loss(Mean, vmap=True)
+    (out["loss_actor"] + out["loss_qvalue"]).backward()
+    assert all(p.grad is not None for p in built.parameters())
 
 
 def test_state_dict_round_trip():
@@ -118,9 +212,12 @@ def test_state_dict_round_trip():
     ("wrong", "message"),
     [
         (
-            lambda: GraspActor(lambda channels: nn.Linear(channels, 2).requires_grad_(), out_keys=[]),
-            "out_keys",
+            lambda: GraspActor(SMALL, out_keys=["action"]),
+            "goal_prediction=False",
         ),
+        (lambda: GraspActor(SMALL, out_keys=[], goal_prediction=False), "out_keys"),
+        (lambda: GraspActor(SMALL, in_keys=["points", "time_left", "goal"]), "in_keys"),
+        (lambda: GraspCritic(SMALL, in_keys=["points", "time_left"]), "the action"),
         (lambda: GraspActor(lambda channels: nn.Identity()), "out_features"),
         (lambda: GraspActor(SMALL, action_bound=[0.1, -1.0]), "action_bound"),
         (lambda: GraspCritic(SMALL, fusion="middle"), "fusion"),

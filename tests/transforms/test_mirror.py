@@ -1,6 +1,8 @@
+import pytest
 import torch
 from tensordict import TensorDict
 
+from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import action_to_pose, goal_to_pose, gripper_control_points, transform_points
 from torchgrasp.transforms import RandomMirror
 
@@ -11,7 +13,7 @@ def make_batch(n: int = 64) -> TensorDict:
     torch.manual_seed(0)
     goal = torch.cat((torch.randn(n, 3), torch.nn.functional.normalize(torch.randn(n, 4), dim=-1)), dim=-1)
     points = torch.cat((torch.randn(n, 9, 3), torch.zeros(n, 9, 1)), dim=-1)
-    after = {"points": points + 1, "time_left": torch.rand(n, 1)}
+    after = {"points": points + 1, "time_left": torch.rand(n, 1), "goal": goal.roll(1, dims=0)}
     action = 0.5 * torch.randn(n, 6)
     return TensorDict({"points": points, "action": action, "goal": goal, "next": after}, [n])
 
@@ -31,7 +33,7 @@ def test_a_reflected_pose_moves_reflected_points_as_the_pose_moved_the_points():
     batch = make_batch()
     out, signs = mirrored(batch)
     points = torch.randn(len(batch), 5, 3)
-    for key, to_pose in KINDS.items():
+    for key, to_pose in KINDS.items() | {(("next", "goal"), goal_to_pose)}:
         moved = transform_points(to_pose(batch[key]), points)
         again = transform_points(to_pose(out[key]), points * signs[:, None])
         assert torch.allclose(again, moved * signs[:, None], atol=1e-5)
@@ -49,3 +51,14 @@ def test_the_hand_is_its_own_mirror_image():
     for signs in ((1, -1, 1), (-1, 1, 1), (-1, -1, 1)):
         image = hand * torch.tensor(signs)
         assert torch.cdist(image, hand).amin(dim=-1).max() == 0
+
+
+def test_that_there_is_no_goal_stays_so():
+    batch = make_batch()
+    out, _ = mirrored(batch.set("goal", torch.zeros(64, 7)))
+    assert out["goal"].abs().max() == 0
+
+
+def test_labels_are_not_mirrored_without_their_cloud():
+    with pytest.raises(ConfigError, match=r"replay\.augment=null"):
+        RandomMirror()(TensorDict({"image": torch.rand(2, 3, 8, 8), "action": torch.rand(2, 6)}, [2]))

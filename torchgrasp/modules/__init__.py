@@ -1,7 +1,9 @@
-"""Encoders of point clouds, the actor and critic heads on them, and exploration."""
+"""Encoders of point clouds and images, the actor and critic heads on them, and exploration."""
 
 from torchgrasp.modules.actor import GraspActor as GraspActor
 from torchgrasp.modules.critic import GraspCritic as GraspCritic
 from torchgrasp.modules.exploration import DecayingUniformNoise as DecayingUniformNoise
+from torchgrasp.modules.goal_predictor import GoalPredictor as GoalPredictor
 from torchgrasp.modules.pointnet import PointNet as PointNet
 from torchgrasp.modules.pointnet2 import PointNet2 as PointNet2
+from torchgrasp.modules.resnet import ResNet18 as ResNet18

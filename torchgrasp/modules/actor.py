@@ -1,4 +1,4 @@
-"""The actor: from cloud and time left to action and goal prediction (Sec. 6.3)."""
+"""The actor: from cloud or image and time left to action and goal prediction (Sec. 6.3)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,17 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_BOUND
-from torchgrasp.modules.heads import Encoder, GoalHead, bound_tensor, build_encoder, head
+from torchgrasp.geometry import ACTION_BOUND, GOAL_SIZE
+from torchgrasp.modules.heads import (
+    Encoder,
+    EncoderNetwork,
+    GoalHead,
+    bound_tensor,
+    build_encoder,
+    check_keys,
+    choose_out_keys,
+    head,
+)
 from torchgrasp.modules.layers import shrink_last_layer
 
 
@@ -20,18 +28,22 @@ class GraspActor(TensorDictModule):
     """Reads a cloud (*, N, C) and time left (*, 1); writes the action (*, 6) and the goal (*, 7).
 
     The action is bounded by tanh: relative ee pose, metres and Euler angles; the goal is the final
-    grasp in the ee frame, metres and unit quaternion xyzw.
+    grasp in the ee frame, metres and unit quaternion xyzw. `goal_input` and `goal_prediction` are the
+    actor's part of Table 2.
 
     Args:
-        encoder: module from (*, N, C) to (*, F) with an attribute `out_features`, or a callable
-            that makes one from the number of channels.
+        encoder: module from (*, N, C) clouds or (*, C, H, W) images to (*, F) with an attribute
+            `out_features`, or a callable that makes one from the number of channels.
         in_channels: C. The default is xyz and the flag of gripper points.
         action_bound: largest magnitude of each action component; its length is the action's size.
         hidden: width of the heads.
-        vector_size: size of all vectors after the cloud in `in_keys` together.
-        in_keys: the encoder's input, then vectors that join its feature. A goal-conditioned actor
-            adds the goal here.
-        out_keys: the action, then the goal; without the second there is no goal head.
+        goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does;
+            zeros say that there is none.
+        goal_prediction: whether the actor predicts the goal.
+        freeze_encoder: keep the encoder as it is (Sec. 6.3: fine-tuning with hindsight goals).
+        in_keys: the encoder's input and time left.
+        goal_key: what `goal_input` adds to `in_keys`.
+        out_keys: the action, then the goal prediction where there is one.
 
     Example:
         >>> from tensordict import TensorDict
@@ -49,41 +61,51 @@ class GraspActor(TensorDictModule):
         in_channels: int = 4,
         action_bound: Sequence[float] = ACTION_BOUND,
         hidden: int = 256,
-        vector_size: int = 1,
+        goal_input: bool = False,
+        goal_prediction: bool = True,
+        freeze_encoder: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT),
+        goal_key: NestedKey = keys.GOAL,
         out_keys: Sequence[NestedKey] = (keys.ACTION, keys.GOAL_PREDICTION),
     ) -> None:
-        if len(out_keys) not in (1, 2):
-            raise ConfigError(
-                f"out_keys={list(out_keys)} must name the action and, or not, the goal prediction."
-            )
+        read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
+        written = choose_out_keys(out_keys, "the action", predicts_goal=goal_prediction)
+        built, size = build_encoder(encoder, in_channels)
         network = _ActorNetwork(
-            encoder, in_channels, bound_tensor(action_bound), hidden, vector_size, has_goal=len(out_keys) == 2
+            built,
+            size + 1 + goal_input * GOAL_SIZE,
+            bound_tensor(action_bound),
+            hidden,
+            predicts_goal=goal_prediction,
+            freeze=freeze_encoder,
         )
-        super().__init__(network, in_keys=list(in_keys), out_keys=list(out_keys))
+        super().__init__(
+            network,
+            in_keys=[*read, goal_key] if goal_input else read,
+            out_keys=written,
+        )
 
 
-class _ActorNetwork(nn.Module):
+class _ActorNetwork(EncoderNetwork):
     bound: Tensor
 
     def __init__(
         self,
-        encoder: Encoder,
-        in_channels: int,
+        encoder: nn.Module,
+        feature_size: int,
         bound: Tensor,
         hidden: int,
-        vector_size: int,
         *,
-        has_goal: bool,
+        predicts_goal: bool,
+        freeze: bool,
     ) -> None:
-        super().__init__()
-        self.encoder, size = build_encoder(encoder, in_channels)
-        self.action_head = head(size + vector_size, hidden, len(bound))
+        super().__init__(encoder, freeze=freeze)
+        self.action_head = head(feature_size, hidden, len(bound))
         shrink_last_layer(self.action_head, 0.1)
-        self.goal_head = GoalHead(size + vector_size, hidden) if has_goal else None
+        self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
         self.register_buffer("bound", bound)
 
-    def forward(self, points: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
-        feature = torch.cat((self.encoder(points), *vectors), dim=-1)
+    def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+        feature = torch.cat((self.encoder(observed), *vectors), dim=-1)
         action = self.bound * self.action_head(feature).tanh()
         return action if self.goal_head is None else (action, self.goal_head(feature))

@@ -1,4 +1,4 @@
-"""The critic: Q-values side by side off one pass over the cloud, and a goal prediction."""
+"""The critic: Q-values side by side off one pass over the cloud or image, and a goal prediction."""
 
 from __future__ import annotations
 
@@ -12,19 +12,31 @@ from torch import Tensor, nn
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_BOUND
-from torchgrasp.modules.heads import Encoder, GoalHead, bound_tensor, build_encoder, head
+from torchgrasp.geometry import ACTION_BOUND, GOAL_SIZE
+from torchgrasp.modules.heads import (
+    Encoder,
+    EncoderNetwork,
+    GoalHead,
+    bound_tensor,
+    build_encoder,
+    check_keys,
+    choose_out_keys,
+    get_channel_dim,
+    head,
+    join_channels,
+)
 
 
 class GraspCritic(TensorDictModule):
     """Reads a cloud (*, N, C), time left (*, 1) and action (*, A); writes (*, num_q) values, (*, 7) goal.
 
-    Early fusion, the paper's choice, writes the action beside every point's features, so that the
-    encoder sees what the action does to the cloud; late fusion joins it to the cloud's feature
-    (an ablation, and worse). Actions are divided by their bounds first. Q-values are not squashed.
+    Early fusion, the paper's choice, writes the action beside every point's features, or as constant
+    channels of an image, so that the encoder sees what the action does to the cloud; late fusion joins
+    it to the cloud's feature (an ablation, and worse). Actions are divided by their bounds first.
+    Q-values are not squashed. `goal_input` and `goal_prediction` are the critic's part of Table 2.
 
-    In TorchRL's own losses set ``deactivate_vmap=True``: the encoders choose rows by their values,
-    which vmap cannot follow.
+    In TorchRL's own losses set ``deactivate_vmap=True``: the encoders of clouds choose rows by their
+    values, which vmap cannot follow.
 
     Args:
         encoder: as for GraspActor, of C + A channels under early fusion, else of C.
@@ -33,9 +45,13 @@ class GraspCritic(TensorDictModule):
         fusion: 'early' or 'late'.
         action_bound: largest magnitude of each action component; its length is A.
         hidden: width of the heads.
-        vector_size: size of all vectors between the cloud and the action in `in_keys` together.
-        in_keys: the encoder's input, vectors that join its feature, and last the action.
-        out_keys: the values, then the goal; without the second there is no goal head.
+        goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does.
+        goal_prediction: whether the critic predicts the goal.
+        freeze_encoder: keep the encoder as it is; under early fusion gradients still pass through it
+            to the action.
+        in_keys: the encoder's input, time left and the action.
+        goal_key: what `goal_input` adds to `in_keys`, before the action.
+        out_keys: the values, then the goal prediction where there is one.
 
     Example:
         >>> from tensordict import TensorDict
@@ -56,27 +72,41 @@ class GraspCritic(TensorDictModule):
         fusion: Literal["early", "late"] = "early",
         action_bound: Sequence[float] = ACTION_BOUND,
         hidden: int = 256,
-        vector_size: int = 1,
+        goal_input: bool = False,
+        goal_prediction: bool = True,
+        freeze_encoder: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT, keys.ACTION),
+        goal_key: NestedKey = keys.GOAL,
         out_keys: Sequence[NestedKey] = (keys.STATE_ACTION_VALUE, keys.GOAL_PREDICTION),
     ) -> None:
         if fusion not in ("early", "late"):
             raise ConfigError(f"fusion={fusion!r} is unknown: choose 'early' or 'late'.")
         if num_q < 1:
             raise ConfigError(f"num_q={num_q}: a critic needs at least one value; TD3 takes 2.")
-        if len(out_keys) not in (1, 2):
-            raise ConfigError(
-                f"out_keys={list(out_keys)} must name the values and, or not, the goal prediction."
-            )
+        *state, action = check_keys("in_keys", in_keys, ("the encoder's input", "time left", "the action"))
+        written = choose_out_keys(out_keys, "the values", predicts_goal=goal_prediction)
         bound = bound_tensor(action_bound)
         early = fusion == "early"
         built, size = build_encoder(encoder, in_channels + early * len(bound))
-        size += vector_size + (not early) * len(bound)
-        network = _CriticNetwork(built, size, bound, hidden, num_q, early=early, has_goal=len(out_keys) == 2)
-        super().__init__(network, in_keys=list(in_keys), out_keys=list(out_keys))
+        size += 1 + goal_input * GOAL_SIZE + (not early) * len(bound)
+        network = _CriticNetwork(
+            built,
+            size,
+            bound,
+            hidden,
+            num_q,
+            early=early,
+            predicts_goal=goal_prediction,
+            freeze=freeze_encoder,
+        )
+        super().__init__(
+            network,
+            in_keys=[*state, goal_key, action] if goal_input else [*state, action],
+            out_keys=written,
+        )
 
 
-class _CriticNetwork(nn.Module):
+class _CriticNetwork(EncoderNetwork):
     bound: Tensor
 
     def __init__(
@@ -88,21 +118,21 @@ class _CriticNetwork(nn.Module):
         num_q: int,
         *,
         early: bool,
-        has_goal: bool,
+        predicts_goal: bool,
+        freeze: bool,
     ) -> None:
-        super().__init__()
-        self.encoder = encoder
-        self.early = early
+        super().__init__(encoder, freeze=freeze)
+        self.early, self.channel_dim = early, get_channel_dim(encoder)
         self.value_heads = nn.ModuleList(head(feature_size, hidden, 1) for _ in range(num_q))
-        self.goal_head = GoalHead(feature_size, hidden) if has_goal else None
+        self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
         self.register_buffer("bound", bound)
 
-    def forward(self, points: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+    def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         action, vectors = vectors[-1] / self.bound, vectors[:-1]
         if self.early:
-            tiled = action[..., None, :].expand(*points.shape[:-1], -1)
-            feature = torch.cat((self.encoder(torch.cat((points, tiled), dim=-1)), *vectors), dim=-1)
+            observed = join_channels(observed, action, self.channel_dim)
+            feature = torch.cat((self.encoder(observed), *vectors), dim=-1)
         else:
-            feature = torch.cat((self.encoder(points), *vectors, action), dim=-1)
+            feature = torch.cat((self.encoder(observed), *vectors, action), dim=-1)
         values = torch.cat([value_head(feature) for value_head in self.value_heads], dim=-1)
         return values if self.goal_head is None else (values, self.goal_head(feature))

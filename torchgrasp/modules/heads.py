@@ -1,10 +1,11 @@
-"""What actor and critic share: bounds of the action, encoders to order, goal heads (Sec. 6.3)."""
+"""What actor, critic and goal predictor share: encoders to order, action bounds, heads (Sec. 6.3)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 import torch
+from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
 from torchgrasp.errors import ConfigError
@@ -15,8 +16,29 @@ from torchgrasp.modules.layers import mlp, shrink_last_layer
 Encoder = nn.Module | Callable[[int], nn.Module]
 
 
+class EncoderNetwork(nn.Module):
+    """A network on an encoder, which it holds as it is where `freeze` says so.
+
+    A frozen encoder's parameters get no gradients, `train` leaves it in evaluation mode, and gradients
+    still pass through it to its input.
+    """
+
+    def __init__(self, encoder: nn.Module, *, freeze: bool = False) -> None:
+        super().__init__()
+        self.encoder, self.encoder_is_frozen = encoder, freeze
+        if freeze:
+            encoder.requires_grad_(False).eval()
+
+    def train(self, mode: bool = True) -> EncoderNetwork:
+        """Set the mode of all but a frozen encoder."""
+        super().train(mode)
+        if self.encoder_is_frozen:
+            self.encoder.eval()
+        return self
+
+
 def build_encoder(encoder: Encoder, in_channels: int) -> tuple[nn.Module, int]:
-    """The encoder for clouds of `in_channels`, and the size of its feature, its `out_features`."""
+    """The encoder for inputs of `in_channels`, and the size of its feature, its `out_features`."""
     built = encoder if isinstance(encoder, nn.Module) else encoder(in_channels)
     size = getattr(built, "out_features", None)
     if not isinstance(size, int):
@@ -25,6 +47,44 @@ def build_encoder(encoder: Encoder, in_channels: int) -> tuple[nn.Module, int]:
             "set it to the size of the feature that the encoder returns."
         )
     return built, size
+
+
+def get_channel_dim(encoder: nn.Module) -> int:
+    """Where the encoder's inputs have their channels: its `channel_dim`, -1 for clouds, which have none."""
+    return int(getattr(encoder, "channel_dim", -1))
+
+
+def join_channels(inputs: Tensor, vector: Tensor, dim: int) -> Tensor:
+    """Early fusion: `vector` (*, A) as A further channels, equal at every point or pixel of `inputs`.
+
+    Args:
+        inputs: (*, N, C) clouds or (*, C, H, W) images.
+        vector: (*, A).
+        dim: where `inputs` have their channels, counted from the end.
+    """
+    size = vector.shape[-1]
+    inner = [1] * (inputs.ndim - vector.ndim + 1)
+    inner[dim] = size
+    shape = list(inputs.shape)
+    shape[dim] = size
+    return torch.cat((inputs, vector.reshape(*vector.shape[:-1], *inner).expand(shape)), dim=dim)
+
+
+def check_keys(name: str, given: Sequence[NestedKey], meaning: Sequence[str]) -> list[NestedKey]:
+    """The keys `given` as a list; ConfigError unless there is one for each of `meaning`."""
+    if len(given) != len(meaning):
+        raise ConfigError(f"{name}={list(given)} must name {len(meaning)}: {', '.join(meaning)}.")
+    return list(given)
+
+
+def choose_out_keys(given: Sequence[NestedKey], first: str, *, predicts_goal: bool) -> list[NestedKey]:
+    """The keys written: that of `first` and, where it is predicted, that of the goal."""
+    if len(given) not in ((2,) if predicts_goal else (1, 2)):
+        raise ConfigError(
+            f"out_keys={list(given)} must name {first}, then the goal prediction; for {first} alone give "
+            "goal_prediction=False."
+        )
+    return list(given)[: 1 + predicts_goal]
 
 
 def bound_tensor(action_bound: Sequence[float]) -> Tensor:

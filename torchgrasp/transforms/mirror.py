@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
+from torchgrasp.errors import ConfigError
 
 
 class RandomMirror(Transform):
@@ -37,7 +38,7 @@ class RandomMirror(Transform):
         *,
         point_keys: Sequence[NestedKey] = (keys.POINTS, ("next", keys.POINTS)),
         action_keys: Sequence[NestedKey] = (keys.ACTION, keys.EXPERT_ACTION),
-        goal_keys: Sequence[NestedKey] = (keys.GOAL,),
+        goal_keys: Sequence[NestedKey] = (keys.GOAL, ("next", keys.GOAL)),
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
@@ -46,6 +47,12 @@ class RandomMirror(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reflect every element of the batch by a draw of its own."""
+        if all(tensordict.get(key, None) is None for key in self._points):
+            raise ConfigError(
+                f"RandomMirror finds none of {list(self._points)}, and labels without the cloud that they "
+                "belong to must not be mirrored: name the clouds by point_keys, or leave it out "
+                "(replay.augment=null), as for policies that see images."
+            )
         draws = torch.randint(0, 2, (*tensordict.batch_size, 2), generator=self._generator)
         sx, sy = (2.0 * draws - 1.0).to(tensordict.device).unbind(-1)
         one = torch.ones_like(sx)

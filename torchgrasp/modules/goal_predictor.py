@@ -1,0 +1,63 @@
+"""The goal network: grasp prediction alone, in front of goal-conditioned policies (Sec. 6.5, Table 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict.nn import TensorDictModule
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+
+from torchgrasp import keys
+from torchgrasp.modules.heads import Encoder, EncoderNetwork, GoalHead, build_encoder, check_keys
+
+
+class GoalPredictor(TensorDictModule):
+    """Reads a cloud (*, N, C) and time left (*, 1); writes the goal (*, 7) that others read.
+
+    The goal is the final grasp in the ee frame, metres and unit quaternion xyzw with w >= 0, as the
+    expert's label has it. GoalAuxLoss trains it, with ``set_keys(goal_prediction="goal")``; at
+    evaluation it goes before the actor: ``TensorDictSequential(predictor, actor)``.
+
+    Args:
+        encoder: as for GraspActor.
+        in_channels: C.
+        hidden: width of the head.
+        in_keys: the encoder's input and time left.
+        goal_key: what is written.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictSequential
+        >>> from torchgrasp.modules import GraspActor, PointNet
+        >>> policy = TensorDictSequential(GoalPredictor(PointNet), GraspActor(PointNet, goal_input=True))
+        >>> td = TensorDict({"points": torch.rand(2, 262, 4), "time_left": torch.ones(2, 1)}, [2])
+        >>> policy(td)["goal"].shape, td["action"].shape
+        (torch.Size([2, 7]), torch.Size([2, 6]))
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        *,
+        in_channels: int = 4,
+        hidden: int = 256,
+        in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT),
+        goal_key: NestedKey = keys.GOAL,
+    ) -> None:
+        read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
+        built, size = build_encoder(encoder, in_channels)
+        super().__init__(_GoalNetwork(built, size + 1, hidden), in_keys=read, out_keys=[goal_key])
+
+
+class _GoalNetwork(EncoderNetwork):
+    def __init__(self, encoder: nn.Module, feature_size: int, hidden: int) -> None:
+        super().__init__(encoder)
+        self.goal_head = GoalHead(feature_size, hidden)
+
+    def forward(self, observed: Tensor, time_left: Tensor) -> Tensor:
+        goal = self.goal_head(torch.cat((self.encoder(observed), time_left), dim=-1))
+        # q and -q are one rotation, but not one input: the labels that actors learn from have w >= 0.
+        sign = torch.where(goal[..., -1:] < 0, -1.0, 1.0)
+        return torch.cat((goal[..., :3], sign * goal[..., 3:]), dim=-1)
