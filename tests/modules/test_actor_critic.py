@@ -175,28 +175,11 @@ def _torchrl_loss(encoder, *, vmap):
     return loss(state.set("next", following)), networks[0].module.encoder
 
 
+@pytest.mark.parametrize("vmap", [False, True])
 @pytest.mark.parametrize("encoder", [SMALL, partial(PointNet2, width=0.1)])
-def test_torchrls_own_loss_takes_them(encoder):
-    out, built = _torchrl_loss(encoder, vmap=False)
-    (out["loss_actor"] + out["loss_qvalue"]).backward()
-    assert all(p.grad is not None for p in built.parameters())
-
-
-class Mean(nn.Module):
-    """The simplest encoder: one layer on each point, then the mean."""
-
-    def __init__(self, in_channels):
-        super().__init__()
-        self.out_features = 8
-        self.layer = nn.Linear(in_channels, 8)
-
-    def forward(self, points):
-        return self.layer(points).relu().mean(dim=-2)
-
-
-def test_torchrls_own_loss_takes_them_by_its_vmap():
-    """Heads and fusion put nothing in vmap's way."""
-    out, built = _torchrl_loss(Mean, vmap=True)
+def test_torchrls_own_loss_takes_them(encoder, vmap):
+    """By a loop over the critics, and by TorchRL's vmap over their stacked weights."""
+    out, built = _torchrl_loss(encoder, vmap=vmap)
     (out["loss_actor"] + out["loss_qvalue"]).backward()
     assert all(p.grad is not None for p in built.parameters())
 

@@ -35,8 +35,8 @@ class GraspCritic(TensorDictModule):
     it to the cloud's feature (an ablation, and worse). Actions are divided by their bounds first.
     Q-values are not squashed. `goal_input` and `goal_prediction` are the critic's part of Table 2.
 
-    In TorchRL's own losses set ``deactivate_vmap=True``: the encoders of clouds choose rows by their
-    values, which vmap cannot follow.
+    TorchRL's own losses take it, by vmap as well; ``deactivate_vmap=True`` is faster there, because under
+    vmap every row of a cloud carries a graph.
 
     Args:
         encoder: as for GraspActor, of C + A channels under early fusion, else of C.
