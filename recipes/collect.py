@@ -61,6 +61,7 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
             seeds=[cfg.seed] * len(kept),
             index=index,
             attempts=len(episodes),
+            codec=instantiate(cfg.replay.codec),
             wall_seconds=time.monotonic() - started,
         )
         progress.update(

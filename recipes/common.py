@@ -25,10 +25,11 @@ from torchgrasp.sim.control import ActionSpace, make_action_space
 from torchgrasp.training import Episode, EpisodePool, Progress, SuccessTable
 from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
-# What a learner needs of a step; poses and pictures stay where they were made.
+# What a learner needs of a step; the camera's pictures stay where they were made.
 KEPT = (
-    *(keys.POINTS, keys.TIME_LEFT, keys.ACTION, keys.EXPERT_ACTION, keys.HAS_EXPERT),
-    *(keys.GOAL, keys.HAS_GOAL, keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
+    *(keys.POINTS, keys.IMAGE, keys.T_BASE_EE, keys.TIME_LEFT, keys.ACTION),
+    *(keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
+    *(keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
 )
 # Online episodes are numbered from here on: none repeats a demonstration.
 ONLINE_EPISODES = 1_000_000

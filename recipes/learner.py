@@ -79,7 +79,8 @@ class Learner:
         share = cfg.replay.online_fraction
         capacities = {"online": cfg.replay.online_capacity, "expert": opened.card["rows"]}
         self._shares = {"online": share, "expert": 1.0 - share}
-        size = estimate_bytes(sum(capacities.values()), num_points=self._num_points)
+        row, priority = next(opened.iterate_rows()), instantiate(cfg.replay.priority)
+        size = estimate_bytes(sum(capacities.values()), row, prioritised=priority is not None)
         print(f"Replay buffer: up to {size / 1e9:.2f} GB for {capacities} transitions")
         self.buffer = MixtureReplayBuffer(
             capacities,
@@ -87,7 +88,9 @@ class Learner:
             batch_size=cfg.replay.batch_size,
             seed=cfg.seed,
             folder=cfg.replay.folder,
-            num_points=self._num_points,
+            row=row,
+            priority=priority,
+            codec=instantiate(cfg.replay.codec),
             transform=instantiate(cfg.replay.augment),
         )
 
@@ -129,6 +132,7 @@ class Learner:
     def update_critic(self, batch: TensorDictBase) -> dict[str, float]:
         """One update after Eq. (3), and the targets' step."""
         metrics = self._descend("critic", self.loss.critic_loss(batch))
+        self.buffer.update_tensordict_priority(batch)
         self.targets.step()
         self.gradient_steps += 1
         return metrics

@@ -12,7 +12,7 @@ from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorStorage, Storage
 
-from torchgrasp.data.memory import check_space
+from torchgrasp.data.memory import check_space, count_row_bytes
 from torchgrasp.errors import ConfigError
 
 SUCCESSOR = "successor"
@@ -80,9 +80,10 @@ class MixtureStorage(Storage):
         data = data.reshape(index.numel())
         if set_cursor:
             self._set_last_cursor(index)
+        if not any(region.initialized for region in self._regions.values()):
+            check_space(self.max_size, count_row_bytes(data), folder=self._folder)
         if self._next_keys:
             data = data.copy().set(SUCCESSOR, self._link(index, data))
-        self._check_space(index, data)
         owner = torch.bucketize(index, self._ends, right=True)
         for number in owner.unique().tolist():
             name, mine = list(self._regions)[number], owner == number
@@ -103,12 +104,6 @@ class MixtureStorage(Storage):
             if end is not None:
                 following = torch.where(end.reshape(-1).to(index.device), index, following)
         return following
-
-    def _check_space(self, index: Tensor, data: TensorDictBase) -> None:
-        if any(region.initialized for region in self._regions.values()):
-            return
-        row_bytes = sum(value.element_size() * value[0].numel() for value in data.values(True, True))
-        check_space(row_bytes * self.max_size, folder=self._folder)
 
     def get(self, index: Any) -> TensorDictBase:
         """Rows at flat `index` (int, slice, or integers of any shape), with ("next", key) where linked."""
