@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner."""
+"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner|replay."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ import torch
 from clock import Clock
 from omegaconf import DictConfig, OmegaConf
 from planner_bench import benchmark_planner
+from replay_bench import benchmark_replay
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
@@ -153,7 +154,12 @@ def _resident_megabytes() -> float:
 
 def benchmark(cfg: DictConfig) -> dict:
     """Run the suite; print and write its table."""
-    suites = {"env": benchmark_env, "resets": benchmark_resets, "planner": benchmark_planner}
+    suites = {
+        "env": benchmark_env,
+        "resets": benchmark_resets,
+        "planner": benchmark_planner,
+        "replay": benchmark_replay,
+    }
     if cfg.suite not in suites:
         raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")
     settings.check_values(cfg)

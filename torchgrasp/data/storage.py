@@ -179,7 +179,7 @@ class MixtureStorage(Storage):
         for name, region in self._regions.items():
             if (Path(path) / name).is_dir():
                 rows = TensorDict.load_memmap(Path(path) / name, allow_pickle=False)
-                region.set(torch.arange(rows.shape[0]), rows)
+                region.set(range(rows.shape[0]), rows)
         self._bump_mutation_revision()
 
 
