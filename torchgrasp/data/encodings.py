@@ -60,15 +60,14 @@ class CloudEncoding:
 
     def decode(self, stored: Tensor) -> Tensor:
         """Undo `encode`, up to float16."""
-        points = stored.float()
         if not self._gripper_points:
-            return points
-        *batch, num_points, _ = points.shape
-        # Written part by part, once: a cloud of zeros first would touch all of its memory twice.
-        cloud = points.new_empty(*batch, num_points + _NUM_GRIPPER_POINTS, 4)
-        cloud[..., :num_points, :3] = points
-        cloud[..., :num_points, 3] = 0.0
-        cloud[..., num_points:, :3] = gripper_control_points(device=points.device)
+            return stored.float()
+        *batch, num_points, _ = stored.shape
+        # Spread out while it is half as large, then converted in one piece: a third of the time.
+        spread = stored.new_zeros(*batch, num_points + _NUM_GRIPPER_POINTS, 4)
+        spread[..., :num_points, :3] = stored
+        cloud = spread.float()
+        cloud[..., num_points:, :3] = gripper_control_points(device=stored.device)
         cloud[..., num_points:, 3] = 1.0
         return cloud
 

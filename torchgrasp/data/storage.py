@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorStorage, Storage
 
@@ -60,6 +60,7 @@ class MixtureStorage(Storage):
         self._ends = torch.tensor(list(accumulate(self.capacities.values())))
         self._folder = None if folder is None else Path(folder)
         self._next_keys, self._end_keys = tuple(next_keys), tuple(end_keys)
+        self._columns: dict[str, dict[Any, Tensor]] = {}
         self._regions: dict[str, Any] = {name: self._make_region(name) for name in self.capacities}
 
     def _make_region(self, name: str) -> LazyTensorStorage:
@@ -123,13 +124,39 @@ class MixtureStorage(Storage):
             order = torch.argsort(owner, stable=True)
             index, owner = index[order], owner[order]
         counts = torch.bincount(owner, minlength=len(self._regions)).tolist()
-        parts = [
-            _take(region, part - self.offsets[name], keys)
-            for (name, region), part in zip(self._regions.items(), index.split(counts), strict=True)
-            if part.numel()
-        ]
-        rows = parts[0] if len(parts) == 1 else torch.cat(cast(list[Any], parts))
+        named = zip(self._regions, index.split(counts), strict=True)
+        parts = [(name, part - self.offsets[name]) for name, part in named if part.numel()]
+        filled = [(name, index) for name, rows in self.num_rows().items() if rows]
+        rows = self._gather(parts or filled[:1], keys)
         return rows if order is None else rows[torch.argsort(order)]
+
+    def _gather(self, parts: Sequence[tuple[str, Tensor]], keys: Sequence[NestedKey] | None) -> TensorDict:
+        """Rows of the regions named, one after the other, each column read straight into its place."""
+        names = self._get_columns(parts[0][0])
+        size = sum(part.numel() for _, part in parts)
+        rows: dict[Any, Tensor] = {}
+        for key in names if keys is None else (key for key in map(unravel_key, keys) if key in names):
+            column = rows[key] = names[key].new_empty(size, *names[key].shape[1:])
+            pieces = column.split([part.numel() for _, part in parts])
+            for (name, part), piece in zip(parts, pieces, strict=True):
+                # index_select copies whole rows; indexing with a tensor goes element by element.
+                torch.index_select(self._get_columns(name)[key], 0, part, out=piece)
+        return TensorDict(rows, [size])
+
+    def _get_columns(self, name: str) -> dict[Any, Tensor]:
+        """The filled part of each column of a region, as plain views, until the next write."""
+        if name not in self._columns:
+            rows = self._regions[name].get(slice(None))
+            self._columns[name] = {key: value.as_subclass(Tensor) for key, value in rows.items(True, True)}
+        return self._columns[name]
+
+    def _bump_mutation_revision(self) -> None:
+        self._columns = {}
+        super()._bump_mutation_revision()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Mapped files are handed over by name, plain views of them would be as copies.
+        return {**super().__getstate__(), "_columns": {}}
 
     def _filled(self) -> Tensor:
         regions = self._regions.items()
@@ -186,10 +213,3 @@ class MixtureStorage(Storage):
 def keep_batch(batch: TensorDictBase) -> TensorDictBase:
     """The `collate_fn` of a TorchRL buffer over a storage of this package: batches are whole already."""
     return batch
-
-
-def _take(region: Any, index: Tensor, keys: Sequence[NestedKey] | None) -> TensorDictBase:
-    rows = region.get(slice(None))
-    rows = rows if keys is None else rows.select(*keys, strict=False)
-    # index_select copies whole rows; indexing with a tensor goes element by element.
-    return rows.apply(lambda column: column.index_select(0, index), batch_size=index.shape)
