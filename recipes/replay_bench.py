@@ -25,6 +25,8 @@ from torchgrasp.training import Progress
 # Sec. 6.4: 1,024 points, batches of 250, of which 30 % are of 50,000 demonstrated steps beside 2 million.
 _NUM_POINTS, _BATCH, _SHARES, _EXPERT_PART = 1024, 250, {"online": 0.7, "expert": 0.3}, 40
 _HORIZON, _CHUNK = 30, 100
+# Draws that meet memory which the process has not touched yet.
+_WARM_UP = 5
 
 
 def benchmark_replay(cfg: DictConfig) -> dict:
@@ -126,28 +128,34 @@ def _make_episodes(episodes: int, horizon: int, generator: torch.Generator) -> T
 
 
 def _time_draws(buffer: MixtureReplayBuffer, draws: int) -> dict:
-    """Milliseconds of a batch by priority, of its update, and of a batch from the same rows uniformly."""
+    """Milliseconds of a batch and of handing its errors back, by priority and uniformly from the same rows."""
+    prioritised, uniform = buffer.sampler, MixtureSampler(_SHARES)
+    state = prioritised.state_dict()
+    uniform.load_state_dict({"shares": state["shares"], "rows": state["rows"]})
+    seconds = dict(zip(("prioritised", "priority_update"), _time_sampler(buffer, draws), strict=True))
+    buffer.set_sampler(uniform)
+    seconds["uniform"], _ = _time_sampler(buffer, draws)
+    buffer.set_sampler(prioritised)
+    return {
+        f"{name}_{word}_milliseconds": 1e3 * float(np.quantile(each, quantile))
+        for name, each in seconds.items()
+        for word, quantile in (("median", 0.5), ("p95", 0.95))
+    }
+
+
+def _time_sampler(buffer: MixtureReplayBuffer, draws: int) -> tuple[list[float], list[float]]:
+    """Seconds of each draw, and of handing its errors back; a batch is held until the next is there."""
     generator = torch.Generator().manual_seed(1)
     found, updates = [], []
-    for _ in range(draws + 5):
+    for _ in range(draws + _WARM_UP):
         start = time.perf_counter()
         batch = buffer.sample()
         found.append(time.perf_counter() - start)
         batch["td_error"] = torch.rand(_BATCH, generator=generator)
-        updates.append(_seconds(lambda each=batch: buffer.update_tensordict_priority(each)))
-    prioritised, uniform = buffer.sampler, MixtureSampler(_SHARES)
-    state = prioritised.state_dict()
-    uniform.load_state_dict({"shares": state["shares"], "rows": state["rows"]})
-    buffer.set_sampler(uniform)
-    plain = [_seconds(buffer.sample) for _ in range(draws + 5)]
-    buffer.set_sampler(prioritised)
-    # The first draws meet memory that nobody has touched.
-    rows = {"prioritised": found[5:], "priority_update": updates[5:], "uniform": plain[5:]}
-    return {
-        f"{name}_{word}_milliseconds": 1e3 * float(np.quantile(seconds, quantile))
-        for name, seconds in rows.items()
-        for word, quantile in (("median", 0.5), ("p95", 0.95))
-    }
+        start = time.perf_counter()
+        buffer.update_tensordict_priority(batch)
+        updates.append(time.perf_counter() - start)
+    return found[_WARM_UP:], updates[_WARM_UP:]
 
 
 def _seconds(function: Callable[[], object]) -> float:
