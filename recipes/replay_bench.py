@@ -128,34 +128,37 @@ def _make_episodes(episodes: int, horizon: int, generator: torch.Generator) -> T
 
 
 def _time_draws(buffer: MixtureReplayBuffer, draws: int) -> dict:
-    """Milliseconds of a batch and of handing its errors back, by priority and uniformly from the same rows."""
+    """Milliseconds of a batch, and of handing its errors back, by priority and uniformly."""
     prioritised, uniform = buffer.sampler, MixtureSampler(_SHARES)
     state = prioritised.state_dict()
     uniform.load_state_dict({"shares": state["shares"], "rows": state["rows"]})
-    seconds = dict(zip(("prioritised", "priority_update"), _time_sampler(buffer, draws), strict=True))
+    row = _time_sampler("prioritised", buffer, draws)
     buffer.set_sampler(uniform)
-    seconds["uniform"], _ = _time_sampler(buffer, draws)
+    row |= _time_sampler("uniform", buffer, draws)
     buffer.set_sampler(prioritised)
-    return {
-        f"{name}_{word}_milliseconds": 1e3 * float(np.quantile(each, quantile))
-        for name, each in seconds.items()
-        for word, quantile in (("median", 0.5), ("p95", 0.95))
-    }
+    return row
 
 
-def _time_sampler(buffer: MixtureReplayBuffer, draws: int) -> tuple[list[float], list[float]]:
-    """Seconds of each draw, and of handing its errors back; a batch is held until the next is there."""
+def _time_sampler(name: str, buffer: MixtureReplayBuffer, draws: int) -> dict:
+    """Milliseconds by the clock and of computing; a batch is held until the next is there."""
     generator = torch.Generator().manual_seed(1)
-    found, updates = [], []
+    found, computing, updates = [], [], []
     for _ in range(draws + _WARM_UP):
-        start = time.perf_counter()
+        start, computed = time.perf_counter(), time.thread_time()
         batch = buffer.sample()
         found.append(time.perf_counter() - start)
+        computing.append(time.thread_time() - computed)
         batch["td_error"] = torch.rand(_BATCH, generator=generator)
         start = time.perf_counter()
         buffer.update_tensordict_priority(batch)
         updates.append(time.perf_counter() - start)
-    return found[_WARM_UP:], updates[_WARM_UP:]
+    found, computing, updates = (1e3 * np.array(each[_WARM_UP:]) for each in (found, computing, updates))
+    return {
+        f"{name}_median_milliseconds": float(np.median(found)),
+        f"{name}_p95_milliseconds": float(np.percentile(found, 95)),
+        f"{name}_computing_milliseconds": float(np.median(computing)),
+        f"{name}_update_milliseconds": float(np.median(updates)),
+    }
 
 
 def _seconds(function: Callable[[], object]) -> float:
@@ -171,6 +174,10 @@ def _print_row(row: dict) -> None:
         f"filled in {row['build_seconds']:.1f} s, saved in {row['save_seconds']:.1f} s, read back in "
         f"{row['reload_seconds']:.1f} s, then with the same batches"
     )
-    for name in ("uniform", "prioritised", "priority_update"):
-        median, p95 = (row[f"{name}_{word}_milliseconds"] for word in ("median", "p95"))
-        print(f"  {name.replace('_', ' '):16s} {median:6.2f} ms a batch of {_BATCH} (95 %: {p95:.2f})")
+    for name in ("uniform", "prioritised"):
+        words = ("median", "p95", "computing", "update")
+        median, p95, computing, update = (row[f"{name}_{word}_milliseconds"] for word in words)
+        print(
+            f"  {name:11s} {median:.2f} ms a batch of {_BATCH} (95 %: {p95:.2f}, computing {computing:.2f}); "
+            f"errors back in {update:.2f} ms"
+        )

@@ -191,7 +191,7 @@ class MixtureStorage(Storage):
         self._empty()
         for name, columns in state_dict["rows"].items():
             rows = TensorDict(columns, [next(iter(columns.values())).shape[0]]).unflatten_keys(".")
-            self._regions[name].set(torch.arange(rows.shape[0]), rows)
+            self._regions[name].set(slice(0, rows.shape[0]), rows)
         self._bump_mutation_revision()
 
     def dumps(self, path: str | Path) -> None:
@@ -206,7 +206,7 @@ class MixtureStorage(Storage):
         for name, region in self._regions.items():
             if (Path(path) / name).is_dir():
                 rows = TensorDict.load_memmap(Path(path) / name, allow_pickle=False)
-                region.set(range(rows.shape[0]), rows)
+                region.set(slice(0, rows.shape[0]), rows)
         self._bump_mutation_revision()
 
 
