@@ -1,5 +1,6 @@
 """The choices of conf/replay: what a learner stores and how it draws."""
 
+import common
 import pytest
 import torch
 from hydra.utils import instantiate
@@ -7,6 +8,7 @@ from runner import ROOT
 from tensordict import TensorDict
 
 from torchgrasp.data import MixtureReplayBuffer
+from torchgrasp.transforms import HindsightGoal
 
 # Observations that each preset stores, of shapes as its transforms would write them.
 SHAPES = {"mixture": {"points": (14, 4)}, "prioritised": {"points": (14, 4)}, "images": {"image": (4, 8, 8)}}
@@ -40,3 +42,10 @@ def test_a_critic_that_reads_the_goal_has_its_next_value_stored(composed):
     assert codec.observation_keys == ("points", "time_left", "goal")
     row = codec.example_row({"points": (14, 4), "time_left": (1,), "goal": (7,)})
     assert isinstance(row, TensorDict) and row["goal"].shape == (1, 7)
+
+
+def test_hindsight_goals_are_an_override_away(composed):
+    cfg = composed("replay.augment={_target_: torchgrasp.transforms.HindsightGoal, keep: true}")
+    assert isinstance(instantiate(cfg.replay.augment), HindsightGoal)
+    # What it reads is handed over by the workers.
+    assert "T_base_ee" in common.KEPT
