@@ -45,7 +45,9 @@ def test_a_critic_that_reads_the_goal_has_its_next_value_stored(composed):
 
 
 def test_hindsight_goals_are_an_override_away(composed):
-    cfg = composed("replay.augment={_target_: torchgrasp.transforms.HindsightGoal, keep: true}")
+    cfg = composed(
+        "replay.augment={_target_: torchgrasp.transforms.HindsightGoal}", "+replay.augment.keep=true"
+    )
     assert isinstance(instantiate(cfg.replay.augment), HindsightGoal)
     # What it reads is handed over by the workers.
     assert "T_base_ee" in common.KEPT
