@@ -13,7 +13,7 @@ from torchgrasp.geometry import action_to_pose, goal_to_pose
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
-from torchgrasp.transforms import HindsightGoal
+from torchgrasp.transforms import HindsightGoal, RandomMirror
 
 HORIZON = 12
 NO_GOAL = [0, 0, 0, 0, 0, 0, 1]
@@ -139,3 +139,10 @@ def test_in_an_environment_nothing_changes():
 def test_steps_without_poses_are_refused():
     with pytest.raises(ConfigError, match="T_base_ee"):
         HindsightGoal().inv(make_steps().exclude(("next", "T_base_ee")))
+
+
+def test_a_mirrored_batch_mirrors_the_next_goal_too():
+    goal = torch.tensor([0.1, 0.2, 0.3, 0.5, 0.5, 0.5, 0.5]).expand(64, 7)
+    batch = RandomMirror()(TensorDict({"goal": goal, "next": {"goal": goal}}, [64]))
+    assert torch.equal(batch["goal"], batch["next", "goal"])
+    assert len(batch["goal"].unique(dim=0)) == 4

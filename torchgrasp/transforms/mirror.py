@@ -37,7 +37,7 @@ class RandomMirror(Transform):
         *,
         point_keys: Sequence[NestedKey] = (keys.POINTS, ("next", keys.POINTS)),
         action_keys: Sequence[NestedKey] = (keys.ACTION, keys.EXPERT_ACTION),
-        goal_keys: Sequence[NestedKey] = (keys.GOAL,),
+        goal_keys: Sequence[NestedKey] = (keys.GOAL, ("next", keys.GOAL)),
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
