@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner|encoder|update."""
+"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner|replay|encoder|update."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from clock import Clock
 from learning_bench import benchmark_encoder, benchmark_update
 from omegaconf import DictConfig, OmegaConf
 from planner_bench import benchmark_planner
+from replay_bench import benchmark_replay
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
@@ -158,6 +159,7 @@ def benchmark(cfg: DictConfig) -> dict:
         "env": benchmark_env,
         "resets": benchmark_resets,
         "planner": benchmark_planner,
+        "replay": benchmark_replay,
         "encoder": benchmark_encoder,
         "update": benchmark_update,
     }

@@ -61,6 +61,7 @@ def collect(cfg: DictConfig, pool: EpisodePool, path: Path) -> dict:
             seeds=[cfg.seed] * len(kept),
             index=index,
             attempts=len(episodes),
+            codec=instantiate(cfg.replay.codec),
             wall_seconds=time.monotonic() - started,
         )
         progress.update(
@@ -140,7 +141,7 @@ def main(cfg: DictConfig) -> None:
     """Collect into `demonstrations.path`, by default outputs/demonstrations."""
     path = Path(cfg.demonstrations.path or Path(cfg.output_dir) / "demonstrations")
     settings.check_values(cfg)
-    common.count_points(cfg)
+    common.observed_shapes(cfg)
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg, "train")
         card = collect(cfg, pool, path)

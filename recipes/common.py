@@ -17,7 +17,7 @@ from torchrl.envs import Compose, TransformedEnv
 from torchgrasp import keys
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.geometry import ACTION_SIZE, gripper_control_points
+from torchgrasp.geometry import ACTION_SIZE
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import prepare_resting
@@ -25,10 +25,11 @@ from torchgrasp.sim.control import ActionSpace, make_action_space
 from torchgrasp.training import Episode, EpisodePool, Progress, SuccessTable
 from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
-# What a learner needs of a step; poses and pictures stay where they were made.
+# What a learner needs of a step; the camera's pictures stay where they were made.
 KEPT = (
-    *(keys.POINTS, keys.TIME_LEFT, keys.ACTION, keys.EXPERT_ACTION, keys.HAS_EXPERT),
-    *(keys.GOAL, keys.HAS_GOAL, keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
+    *(keys.POINTS, keys.IMAGE, keys.T_BASE_EE, keys.TIME_LEFT, keys.ACTION),
+    *(keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
+    *(keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
 )
 # Online episodes are numbered from here on: none repeats a demonstration.
 ONLINE_EPISODES = 1_000_000
@@ -69,8 +70,8 @@ def make_env(cfg: DictConfig, split: str) -> TransformedEnv:
     return TransformedEnv(env, Compose(*(instantiate(each) for each in cfg.transforms.values())))
 
 
-def count_points(cfg: DictConfig) -> int:
-    """Observed points of a cloud, the gripper's left out; raises where no environment can be built."""
+def observed_shapes(cfg: DictConfig) -> dict[Any, tuple[int, ...]]:
+    """Shape of each observation in one world; raises where no environment can be built."""
     if cfg.get("device", "cpu") != "cpu":
         try:
             torch.empty(0, device=cfg.device)
@@ -82,11 +83,8 @@ def count_points(cfg: DictConfig) -> int:
             " train with ee_delta, or give a network of your own to an environment of your own."
         )
     spec = make_env(cfg, "test").observation_spec
-    if keys.POINTS not in set(spec.keys()):
-        raise ConfigError(
-            "The transforms write no 'points': keep transforms.points, or put a source of its own."
-        )
-    return spec[keys.POINTS].shape[-2] - len(gripper_control_points())
+    worlds = len(spec.shape)
+    return {key: tuple(spec[key].shape[worlds:]) for key in spec.keys(True, True)}
 
 
 def make_pool(cfg: DictConfig) -> EpisodePool:

@@ -22,7 +22,7 @@ def evaluate(cfg: DictConfig) -> dict:
     cfg = settings.for_evaluation(cfg)
     if cfg.video.episodes:
         check_video_tools()
-    common.count_points(cfg)
+    common.observed_shapes(cfg)
     name = str(cfg.policy)
     policy = policies.make_policy(cfg, name)
     by = {"learner_steps": reports.learner_steps} if name == "takeover" else {}

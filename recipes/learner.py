@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import torch
 from hydra.utils import instantiate
-from networks import join_policy, make_networks, predicts_goal, reads_goal
+from networks import join_policy, make_codec, make_networks, make_row, predicts_goal
 from omegaconf import DictConfig
 from origin import check_rows
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
-from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, estimate_bytes, open_demonstrations
+from torchgrasp.data import MixtureReplayBuffer, estimate_bytes, open_demonstrations
 from torchgrasp.data.files import find_folder
 from torchgrasp.data.kinds import find_counted, resolve_count
-from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.errors import CheckpointError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import (
     cosine_schedule,
@@ -38,10 +40,10 @@ class Learner:
 
     Args:
         cfg: the recipe's configuration.
-        num_points: observed points of a cloud.
+        shapes: of the observations, as `common.observed_shapes` tells them.
     """
 
-    def __init__(self, cfg: DictConfig, num_points: int) -> None:
+    def __init__(self, cfg: DictConfig, shapes: Mapping[Any, tuple[int, ...]]) -> None:
         seed_everything(cfg.seed)
         self.cfg = cfg
         self.networks = {name: each.to(cfg.device) for name, each in make_networks(cfg.model).items()}
@@ -59,7 +61,8 @@ class Learner:
         self.noise = instantiate(cfg.collector.noise).to(cfg.device)
         self.expert_start = instantiate(cfg.collector.expert_start)
         self.buffer: MixtureReplayBuffer
-        self._num_points = num_points
+        self._codec = make_codec(cfg, self.networks)
+        self._row = make_row(self._codec, shapes)
         self._imitation_rate = cosine_schedule(
             max(1, cfg.pretrain.steps), warmup_steps=min(200, cfg.pretrain.steps // 10)
         )
@@ -84,12 +87,13 @@ class Learner:
     def make_buffer(self, demonstrations: Path) -> None:
         """An empty buffer with room for the demonstrations below the path."""
         cfg, opened = self.cfg, open_demonstrations(demonstrations)
-        check_rows(opened, self._num_points)
+        check_rows(opened, self._row)
         self._demonstrations = opened
         share = cfg.replay.online_fraction
         capacities = {"online": cfg.replay.online_capacity, "expert": opened.card["rows"]}
         self._shares = {"online": share, "expert": 1.0 - share}
-        size = estimate_bytes(sum(capacities.values()), num_points=self._num_points)
+        priority = instantiate(cfg.replay.priority)
+        size = estimate_bytes(sum(capacities.values()), self._row, prioritised=priority is not None)
         print(f"Replay buffer: up to {size / 1e9:.2f} GB for {capacities} transitions")
         self.buffer = MixtureReplayBuffer(
             capacities,
@@ -97,22 +101,11 @@ class Learner:
             batch_size=cfg.replay.batch_size,
             seed=cfg.seed,
             folder=cfg.replay.folder,
-            num_points=self._num_points,
-            codec=self._make_codec(),
+            row=self._row,
+            priority=priority,
+            codec=self._codec,
             transform=instantiate(cfg.replay.augment),
         )
-
-    def _make_codec(self) -> CompactTransitions:
-        """Transitions whose states hold the goal where a network reads it."""
-        goal = reads_goal(self.actor) or reads_goal(self.critic)
-        codec = CompactTransitions(state_keys=(keys.TIME_LEFT, *([keys.GOAL] if goal else [])))
-        read = {key for each in self.networks.values() for key in each.in_keys} - {keys.ACTION}
-        if absent := read - set(codec.observation_keys):
-            raise ConfigError(
-                f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer does not "
-                "hold: take a model that reads points, such as model=pointnet2."
-            )
-        return codec
 
     def load_demonstrations(self) -> None:
         """Fill D_expert with the demonstrations' steps that count, by default the successful ones."""
@@ -152,6 +145,7 @@ class Learner:
     def update_critic(self, batch: TensorDictBase) -> dict[str, float]:
         """One update after Eq. (3), and the targets' step."""
         metrics = self._descend("critic", self.loss.critic_loss(batch))
+        self.buffer.update_tensordict_priority(batch)
         self.targets.step()
         self.gradient_steps += 1
         return metrics

@@ -1,14 +1,20 @@
-"""The networks of a configuration, and the policy that they make together."""
+"""The networks of a configuration, the policy that they make together, and what they need stored."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
 from torchgrasp import keys
+from torchgrasp.data import CompactTransitions
+from torchgrasp.data.compact import default_labels
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import GOAL_SIZE
 
 
 def reads_goal(network: TensorDictModuleBase) -> bool:
@@ -45,3 +51,31 @@ def join_policy(networks: dict[str, TensorDictModuleBase]) -> TensorDictModuleBa
         return networks["actor"]
     modules: list = [networks["goal_network"], networks["actor"]]
     return TensorDictSequential(*modules)
+
+
+def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> CompactTransitions:
+    """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
+    states = list(cfg.replay.codec.state_keys)
+    if keys.GOAL not in states and any(reads_goal(each) for each in networks.values()):
+        states.append(keys.GOAL)
+    codec = instantiate(cfg.replay.codec, state_keys=states)
+    read = {key for each in networks.values() for key in each.in_keys} - {keys.ACTION}
+    if absent := read - set(codec.observation_keys):
+        raise ConfigError(
+            f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer does not hold: "
+            "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "
+            "replay=images and transforms=rgbd."
+        )
+    return codec
+
+
+def make_row(codec: CompactTransitions, shapes: Mapping[Any, tuple[int, ...]]) -> TensorDictBase:
+    """A stored transition of observations of those shapes: what is observed, the action and its labels."""
+    shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
+    if absent := [key for key in codec.observation_keys if key not in shapes]:
+        raise ConfigError(
+            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, or choose "
+            "transforms=rgb, rgbd or rgbdm with replay=images."
+        )
+    row = codec.example_row(shapes)
+    return row.select(*codec.observation_keys, keys.ACTION, *default_labels())

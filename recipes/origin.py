@@ -7,14 +7,12 @@ from typing import Any
 
 import settings
 from omegaconf import DictConfig, OmegaConf
+from tensordict import TensorDictBase
 
-from torchgrasp import keys
 from torchgrasp.data import Demonstrations, open_demonstrations
-from torchgrasp.data.compact import default_labels
 from torchgrasp.data.files import describe_file
 from torchgrasp.data.kinds import COUNTED, resolve_count
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_SIZE
 
 # Rounds of all worlds in a shard, which is written whole or not at all.
 SHARD_ROUNDS = 4
@@ -62,10 +60,9 @@ def check_origin(ours: dict, path: Path, card: dict, names: tuple[str, ...] = ()
         )
 
 
-def check_rows(opened: Demonstrations, num_points: int) -> None:
-    """Refuse demonstrations whose rows are none that a learner with clouds of `num_points` points takes."""
-    expected = {keys.POINTS: (num_points, 3), keys.TIME_LEFT: (1,), keys.ACTION: (ACTION_SIZE,)}
-    expected |= {name: tuple(value.shape) for name, value in default_labels().items()}
+def check_rows(opened: Demonstrations, row: TensorDictBase) -> None:
+    """Refuse demonstrations whose rows have not the shapes of `row`, one that the learner would store."""
+    expected = {name: tuple(value.shape[1:]) for name, value in row.items()}
     for rows in opened.iterate_rows():
         for name, shape in expected.items():
             value = rows.get(name, None)

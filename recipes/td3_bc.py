@@ -32,7 +32,7 @@ from torchgrasp.training import (
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
     cfg = settings.resumed(cfg)
-    learner = Learner(cfg, common.count_points(cfg))
+    learner = Learner(cfg, common.observed_shapes(cfg))
     run_dir = settings.open_run(cfg, "td3_bc")
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg)

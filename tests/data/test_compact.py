@@ -3,8 +3,7 @@ import torch
 from rollouts import make_cloud, make_rollout, make_steps
 from torchrl.collectors.utils import split_trajectories
 
-from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, estimate_bytes
-from torchgrasp.data.memory import check_space
+from torchgrasp.data import CompactTransitions, MixtureReplayBuffer
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import gripper_control_points
 
@@ -178,28 +177,33 @@ def test_rows_can_be_encoded_first_and_stored_later():
     assert (direct.sample() == later.sample()).all()
 
 
-def test_a_step_of_1024_points_takes_less_than_7_kilobytes():
-    steps = torch.arange(30)[None]
-    done = steps == 29
-    rollout = make_steps(steps, done, torch.zeros_like(done), torch.Generator())
-    cloud = torch.cat((torch.rand(1, 30, 1024, 4), rollout["points"][..., -6:, :]), dim=-2)
-    rollout["points"] = rollout["next", "points"] = cloud
-    buffer = make_buffer({"online": 30, "expert": 1})
+def test_a_goal_that_the_critic_reads_comes_with_its_next_value():
+    generator = torch.Generator().manual_seed(12)
+    rollout = make_rollout(5, 30, generator=generator)
+    rollout["next", "goal"] = torch.randn(5, 30, 7, generator=generator)
+    # A goal of the next state is that of the step after it, where the episode goes on.
+    goes_on = ~rollout["next", "done"][:, :-1].squeeze(-1)
+    rollout["goal"][:, 1:][goes_on] = rollout["next", "goal"][:, :-1][goes_on]
+    reference = {}
+    remember(reference, rollout)
+    buffer = make_buffer(codec=CompactTransitions(state_keys=("time_left", "goal")))
     buffer.extend(rollout)
-    state = buffer.state_dict()["_storage"]["rows"]["online"]
-    stored = sum(column.numel() * column.element_size() for column in state.values()) / 30
-    draw_lists = 16
-    assert stored + draw_lists <= estimate_bytes(1) <= 7000
-    assert estimate_bytes(2_000_000) < 14e9
-    # Coordinates below 1 m keep 11 bits: half of 2^-11 m.
-    assert (buffer[:]["points"][..., :3] - cloud[0, ..., :3]).abs().max() <= 2**-12
+    batch = buffer.sample()
+    check_against(reference, batch)
+    for row in batch.unbind(0):
+        step, _ = reference[row["time_left"].item()]
+        assert torch.equal(row["next", "goal"], step["next", "goal"]) or step["next", "terminated"]
 
 
-def test_a_buffer_that_does_not_fit_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="memory"):
-        make_buffer({"online": 10**10, "expert": 1}, num_points=1024)
-    with pytest.raises(ConfigError, match="disk"):
-        check_space(10**18, folder=tmp_path / "not" / "yet")
-    buffer = make_buffer({"online": 10**11, "expert": 1})
-    with pytest.raises(ConfigError, match="lower the capacities"):
-        buffer.extend(make_rollout(1, 2, generator=torch.Generator()))
+def test_observations_that_are_missing_are_named():
+    codec = CompactTransitions(state_keys=("time_left", "goal"))
+    rollout = make_rollout(1, 6, generator=torch.Generator().manual_seed(13), done_rate=0.0)
+    with pytest.raises(ConfigError, match=r"next.*goal.*last state of a cut rollout"):
+        codec.encode(rollout)
+    with pytest.raises(ConfigError, match="finds no 'goal'"):
+        codec.encode(rollout.exclude("goal"))
+    whole = rollout.clone()
+    whole["next", "done"][0, -1] = whole["next", "terminated"][0, -1] = True
+    assert len(codec.encode(whole)) == 6
+    with pytest.raises(ConfigError, match="stores no observation"):
+        CompactTransitions(points_key=None, state_keys=())

@@ -3,7 +3,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
-from torchgrasp.data import MixtureSampler, MixtureStorage, MixtureWriter
+from torchgrasp.data import MixtureSampler, MixtureStorage, MixtureWriter, anneal_shares
 from torchgrasp.errors import ConfigError
 
 SHARES = {"online": 0.7, "expert": 0.3}
@@ -69,6 +69,18 @@ def test_shares_anneal():
         assert count(buffer.sample()) == [online, 100 - online]
     with pytest.raises(ConfigError, match="online"):
         buffer.sampler.set_shares({"other": 1.0})
+
+
+def test_four_sources_pass_their_shares_on_as_they_anneal():
+    names = ("online", "expert", "dagger", "failed")
+    start = dict(zip(names, (0.1, 0.5, 0.3, 0.1), strict=True))
+    end = dict(zip(names, (0.7, 0.1, 0.1, 0.1), strict=True))
+    buffer = make_buffer(dict.fromkeys(names, 50), start, batch_size=100)
+    for source in range(4):
+        buffer.extend(make_rows(range(20), source))
+    for progress, expected in ((0.0, [10, 50, 30, 10]), (0.5, [40, 30, 20, 10]), (1.0, [70, 10, 10, 10])):
+        buffer.sampler.set_shares(anneal_shares(start, end, progress))
+        assert count(buffer.sample(), 4) == expected
 
 
 def test_a_ring_that_wraps_leaves_the_other_source_alone():

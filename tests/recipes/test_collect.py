@@ -12,6 +12,7 @@ import collect
 import common
 import pytest
 import td3_bc
+import torch
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from origin import check_rows
@@ -148,8 +149,11 @@ def test_training_takes_imports(composed, collected, tmp_path, told):
                 "experiment=smoke", f"demonstrations.path={path}", "transforms.sample.num_points=40"
             )
             collect.demonstrations(cfg, None, tmp_path)
+    opened = open_demonstrations(path)
+    row = next(opened.iterate_rows())[:1]
+    check_rows(opened, row)
     with pytest.raises(ConfigError, match=r"'points' of shape \(32, 3\).*\(40, 3\)"):
-        check_rows(open_demonstrations(path), 40)
+        check_rows(opened, row.set("points", torch.zeros(1, 40, 3)))
 
 
 def test_training_on_less_than_was_asked_for_says_so(composed, collected, tmp_path, capsys):

@@ -63,8 +63,10 @@ def test_every_environment_passes_check_env_specs(composed, meshes, env, objects
 @pytest.mark.parametrize("model", choices("model"))
 @pytest.mark.parametrize("loss", choices("loss"))
 def test_every_learner_builds(composed, experiment, model, loss):
-    cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25")
-    learner = Learner(cfg, num_points=cfg.transforms.sample.num_points)
+    chosen = ["transforms=rgbd", "replay=images"] if model == "resnet18" else []
+    cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25", *chosen)
+    shapes = {"points": (262, 4), "image": (4, 112, 112), "time_left": (1,)}
+    learner = Learner(cfg, shapes)
     assert learner.loss.bc_weight == {"bc": 1.0, "td3_bc": 0.2, "td3_bc_laptop": 0.98}[loss]
     assert learner.targets.period == cfg.online.period
 
@@ -103,4 +105,4 @@ def test_a_mixture_trains_on_no_test_object(composed):
 
 def test_joint_actions_are_refused_where_networks_write_poses(composed):
     with pytest.raises(ConfigError, match="action_space=joint_delta"):
-        common.count_points(composed("experiment=smoke", "env.action_space=joint_delta"))
+        common.observed_shapes(composed("experiment=smoke", "env.action_space=joint_delta"))

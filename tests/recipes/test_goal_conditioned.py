@@ -67,7 +67,7 @@ def test_the_next_goal_is_the_next_steps_label(composed, tmp_path):
     cfg = composed("experiment=smoke", "demonstrations.kind=expert", *CONDITIONED)
     with common.make_pool(cfg) as pool:
         collect.collect(cfg, pool, tmp_path / "demos")
-    learner = Learner(cfg, common.count_points(cfg))
+    learner = Learner(cfg, common.observed_shapes(cfg))
     learner.make_buffer(tmp_path / "demos")
     learner.load_demonstrations()
     learner.begin_imitation()
@@ -90,7 +90,7 @@ def test_a_resumed_goal_network_goes_on(composed, tmp_path):
     cfg = composed("experiment=smoke", *CONDITIONED)
     with common.make_pool(cfg) as pool:
         collect.collect(cfg, pool, tmp_path / "demos")
-    first, second = (Learner(cfg, common.count_points(cfg)) for _ in range(2))
+    first, second = (Learner(cfg, common.observed_shapes(cfg)) for _ in range(2))
     for learner in (first, second):
         learner.make_buffer(tmp_path / "demos")
     first.load_demonstrations()
@@ -144,9 +144,10 @@ def test_a_switch_that_is_none_is_refused(composed):
         td3_bc.train(composed("experiment=smoke", "model.actor.goal_input=maybe"))
 
 
-def test_networks_that_read_what_is_not_stored_are_refused(composed, tmp_path):
+def test_what_does_not_go_together_is_refused(composed):
     cfg = composed("experiment=smoke", "model=resnet18", "model.width=0.25")
-    with common.make_pool(cfg) as pool:
-        collect.collect(cfg, pool, tmp_path / "demos")
-    with pytest.raises(ConfigError, match="image"):
-        Learner(cfg, common.count_points(cfg)).make_buffer(tmp_path / "demos")
+    with pytest.raises(ConfigError, match=r"read \['image'\].*replay=images"):
+        Learner(cfg, {"points": (38, 4), "time_left": (1,)})
+    cfg = composed("experiment=smoke", "model.width=0.25", "~transforms.points")
+    with pytest.raises(ConfigError, match=r"write no \['points'\]"):
+        Learner(cfg, {"time_left": (1,)})

@@ -10,6 +10,7 @@ from torchgrasp.data.episodes import label_episode_success as label_episode_succ
 from torchgrasp.data.episodes import split_episodes as split_episodes
 from torchgrasp.data.kinds import find_counted as find_counted
 from torchgrasp.data.memory import estimate_bytes as estimate_bytes
+from torchgrasp.data.priorities import Priority as Priority
 from torchgrasp.data.sampler import MixtureSampler as MixtureSampler
 from torchgrasp.data.shard_storage import ShardStorage as ShardStorage
 from torchgrasp.data.shards import append_shard as append_shard

@@ -13,10 +13,11 @@ from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs.transforms import Compose, Transform
 
 from torchgrasp.data.compact import CompactTransitions
-from torchgrasp.data.memory import check_space, estimate_bytes
+from torchgrasp.data.memory import check_space, count_row_bytes
+from torchgrasp.data.priorities import Priority
 from torchgrasp.data.sampler import SOURCE, MixtureSampler
 from torchgrasp.data.shares import check_shares
-from torchgrasp.data.storage import MixtureStorage, keep_batch
+from torchgrasp.data.storage import SUCCESSOR, MixtureStorage, keep_batch
 from torchgrasp.data.writer import MixtureWriter
 from torchgrasp.errors import ConfigError
 
@@ -32,10 +33,12 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
         batch_size: rows of a batch.
         seed: of the draws.
         folder: keeps the rows on disk below it; in memory if None.
-        num_points: checks at once that a full buffer of such clouds (without the six gripper
-            points) fits; otherwise the first `extend` checks.
+        row: encoded rows (R) like those to come, of a demonstration file or the codec's `example_row`:
+            checks at once that a full buffer of such fits; otherwise the first `extend` checks.
+        priority: prefers rows of large errors within a source; uniform if None.
         codec: how transitions are stored; CompactTransitions() if None.
-        transform: applied to sampled transitions, after decoding.
+        transform: applied to sampled transitions, after decoding; its inverse to what `extend` is
+            given, before encoding.
         prefetch: batches that a background thread draws ahead.
 
     >>> from tensordict import TensorDict
@@ -64,18 +67,21 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
         batch_size: int,
         seed: int = 0,
         folder: str | Path | None = None,
-        num_points: int | None = None,
+        row: TensorDictBase | None = None,
+        priority: Priority | None = None,
         codec: CompactTransitions | None = None,
         transform: Transform | None = None,
         prefetch: int | None = None,
     ) -> None:
         _check_sources(capacities, check_shares(shares))
-        if num_points is not None:
-            check_space(estimate_bytes(sum(capacities.values()), num_points=num_points), folder=folder)
+        self._prioritised = priority is not None
+        if row is not None:
+            row_bytes = count_row_bytes(row, prioritised=self._prioritised)
+            check_space(sum(capacities.values()), row_bytes, folder=folder)
         codec = codec or CompactTransitions()
         super().__init__(
             storage=MixtureStorage(capacities, folder=folder, next_keys=codec.observation_keys),
-            sampler=MixtureSampler({name: shares[name] for name in capacities}),
+            sampler=MixtureSampler({name: shares[name] for name in capacities}, priority=priority),
             writer=MixtureWriter(),
             collate_fn=keep_batch,
             transform=Compose(*(t for t in (codec, transform) if t is not None)),  # pyright: ignore
@@ -123,6 +129,15 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
     def num_rows(self) -> dict[str, int]:
         """Transitions that can be drawn, by source."""
         return self._mixture.num_rows()
+
+    def num_bytes(self) -> int:
+        """Bytes that the rows take which are stored now, sampler included."""
+        storage = cast(MixtureStorage, self._storage)
+        filled = [storage.offsets[name] for name, count in storage.num_rows().items() if count]
+        if not filled:
+            return 0
+        first = storage.read_columns(torch.tensor(filled[:1]), None).exclude(SUCCESSOR)
+        return len(storage) * count_row_bytes(first, prioritised=self._prioritised)
 
 
 def _check_sources(capacities: Mapping[str, int], shares: Mapping[str, float]) -> None:

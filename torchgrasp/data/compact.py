@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -10,6 +10,7 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
+from torchgrasp.data.encodings import CloudEncoding, Encoding, ImageEncoding, PlainEncoding
 from torchgrasp.data.episodes import get_mask, label_episode_success
 from torchgrasp.data.sampler import SOURCE, STUB
 from torchgrasp.errors import ConfigError
@@ -18,16 +19,15 @@ from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE, gripper_control_points
 _NO_GOAL = (0.0,) * (GOAL_SIZE - 1) + (1.0,)
 _FLAGS = (keys.HAS_EXPERT, keys.HAS_GOAL, keys.PERTURBED)
 _OUTCOMES = ("reward", "terminated", "done")
-_NUM_GRIPPER_POINTS = len(gripper_control_points())
 
 
 class CompactTransitions(Transform):
-    """Buffer transform: stores each state once, points as float16, and rebuilds transitions.
+    """Buffer transform: stores each state once, clouds and pictures compactly, and rebuilds transitions.
 
     `inv` (on extend) takes a tensordict (*, T) from a collector or `rollout`, time last, and gives
     rows in order of time. A state whose successor is not the next row (the rollout was cut there,
     or the episode was truncated) is followed by a stub: a row that holds the last observation and
-    is never drawn. `forward` (on sample) takes rows whose ("next", points) the storage has read
+    is never drawn. `forward` (on sample) takes rows whose next observations the storage has read
     from the following row (`MixtureStorage(next_keys=codec.observation_keys)`). On rows that
     terminated, next observations are those of the row itself: values there are masked.
 
@@ -35,25 +35,49 @@ class CompactTransitions(Transform):
     from the place, so that neither is stored. Labels that the data lack are stored as absent.
 
     Args:
-        points_key: the cloud, (*, T, N + 6, 4) in metres, ee frame; flag last.
-        state_keys: further observations, with next values.
-        extra_keys: further keys to keep as they are, without next values.
+        points_key: the cloud, (*, T, N + 6, 4) in metres, ee frame; flag last. None where there is none.
         gripper_points: False for clouds without gripper points and flags: all of (*, T, N, C) is stored.
+        image_key: the picture that `image_channels` describes.
+        image_channels: keeps pictures (*, T, C, H, W) as `ImageEncoding` does: their planes by letters,
+            as CameraImage names them. None where there are none.
+        state_keys: further observations, with next values, as they are; of labels such as the goal too.
+        extra_keys: further keys to keep as they are, without next values.
+
+    >>> from tensordict import TensorDict
+    >>> codec = CompactTransitions(points_key=None, image_channels="d", state_keys=())
+    >>> state, ends = {"image": torch.rand(3, 1, 8, 8)}, {"done": torch.tensor([[False], [False], [True]])}
+    >>> ends |= {"terminated": ends["done"], "reward": torch.zeros(3, 1)}
+    >>> rows = codec.inv(TensorDict({**state, "action": torch.zeros(3, 6), "next": {**state, **ends}}, [3]))
+    >>> rows["image"].shape, codec(rows)["image"].shape
+    (torch.Size([3, 2, 8, 8]), torch.Size([3, 1, 8, 8]))
     """
 
     def __init__(
         self,
         *,
-        points_key: NestedKey = keys.POINTS,
+        points_key: NestedKey | None = keys.POINTS,
+        gripper_points: bool = True,
+        image_key: NestedKey = keys.IMAGE,
+        image_channels: str | None = None,
         state_keys: Sequence[NestedKey] = (keys.TIME_LEFT,),
         extra_keys: Sequence[NestedKey] = (),
-        gripper_points: bool = True,
     ) -> None:
         super().__init__()
-        self._points_key = points_key
-        self.observation_keys: tuple[NestedKey, ...] = (points_key, *state_keys)
-        self._extra_keys = tuple(extra_keys)
-        self.gripper_points = gripper_points
+        self.points_key, self.gripper_points = points_key, gripper_points
+        self._encodings: dict[NestedKey, Encoding] = {}
+        if points_key is not None:
+            self._encodings[points_key] = CloudEncoding(points_key, gripper_points=gripper_points)
+        if image_channels is not None:
+            self._encodings[image_key] = ImageEncoding(image_key, image_channels)
+        self._encodings |= {_as_key(key): PlainEncoding() for key in state_keys}
+        if not self._encodings:
+            raise ConfigError("CompactTransitions stores no observation: give points_key or image_channels.")
+        self._extra_keys = tuple(map(_as_key, extra_keys))
+
+    @property
+    def observation_keys(self) -> tuple[NestedKey, ...]:
+        """The observations, which have next values; the storage reads those from the following row."""
+        return tuple(self._encodings)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self.encode(tensordict)
@@ -71,33 +95,15 @@ class CompactTransitions(Transform):
         flat = steps.reshape(-1)
         step, stub = _order_rows(valid.reshape(-1), needs_stub.reshape(-1))
         rows = TensorDict({}, step.shape)
-        for key in self.observation_keys:
-            rows[key] = self._encode(key, flat[key], step)
-            if bool(stub.any()):
-                rows[key][stub] = self._encode(key, flat["next"][key], step[stub])
         for key, value in self._labels(steps).items():
             rows[key] = value.reshape(steps.numel(), -1)[step]
+        for key, encoding in self._encodings.items():
+            rows[key] = encoding.encode(_read(flat, key)[step])
+            if bool(stub.any()):
+                rows[key][stub] = encoding.encode(_read(flat["next"], key, after_cut=True)[step[stub]])
         for key in self._extra_keys:
             rows[key] = flat[key][step]
         return rows.set(STUB, stub.unsqueeze(-1))
-
-    def _encode(self, key: NestedKey, values: Tensor, step: Tensor) -> Tensor:
-        if key != self._points_key:
-            return values[step]
-        if not self.gripper_points:
-            return values[step].half()
-        self._check_points(values, step)
-        return values[:, :-_NUM_GRIPPER_POINTS, :3][step].half()
-
-    def _check_points(self, points: Tensor, step: Tensor) -> None:
-        tail = points[:, -_NUM_GRIPPER_POINTS:, :3][step]
-        expected = gripper_control_points(device=points.device).expand_as(tail)
-        if points.shape[-1] != 4 or not torch.allclose(tail, expected, atol=1e-4):
-            raise ConfigError(
-                f"{self._points_key!r} of shape {tuple(points.shape)} does not end with the gripper's "
-                f"{_NUM_GRIPPER_POINTS} points and a flag channel: put AppendGripperPoints after every "
-                "transform that moves points, or build CompactTransitions(gripper_points=False)."
-            )
 
     def _labels(self, steps: TensorDictBase) -> dict[NestedKey, Tensor]:
         shape = steps.shape
@@ -112,27 +118,33 @@ class CompactTransitions(Transform):
         labels[SOURCE] = _get_or(steps, SOURCE, torch.zeros(*shape, 1, dtype=torch.int64))
         return labels
 
+    def example_row(self, shapes: Mapping[NestedKey, Sequence[int]]) -> TensorDict:
+        """A row (1) of zeros, by which to tell what rows of such observations take.
+
+        Args:
+            shapes: of each observation that is stored, float32, as an environment of one world gives it.
+        """
+        state = TensorDict({key: torch.zeros(1, *shapes[key]) for key in self._encodings}, [1])
+        if self.points_key is not None and self.gripper_points:
+            tail = gripper_control_points()
+            state[self.points_key][..., -len(tail) :, :3] = tail
+        end = torch.ones(1, 1, dtype=torch.bool)
+        ends = {"reward": torch.zeros(1, 1), "terminated": end, "done": end}
+        action = torch.zeros(1, ACTION_SIZE)
+        return self.encode(state.copy().update({keys.ACTION: action, "next": state.copy().update(ends)}))
+
     def decode(self, rows: TensorDictBase) -> TensorDictBase:
-        """Rows (*), with ("next", observations) or without, to float32 clouds and TorchRL's keys."""
+        """Rows (*), with ("next", observations) or without, to float32 observations and TorchRL's keys."""
         batch = rows.exclude(STUB, *_OUTCOMES)
-        batch[self._points_key] = self._decode(rows[self._points_key])
         following = rows.get("next", TensorDict({}, rows.shape)).copy()
-        next_points = following.get(self._points_key, None)
-        if next_points is not None:
-            following[self._points_key] = self._decode(next_points)
+        for key, encoding in self._encodings.items():
+            batch[key] = encoding.decode(rows[key])
+            stored = following.get(key, None)
+            if stored is not None:
+                following[key] = encoding.decode(stored)
         for key in _OUTCOMES:
             following[key] = rows[key]
         return batch.set("next", following)
-
-    def _decode(self, points: Tensor) -> Tensor:
-        if not self.gripper_points:
-            return points.float()
-        *batch, num_points, _ = points.shape
-        cloud = torch.zeros(*batch, num_points + _NUM_GRIPPER_POINTS, 4, device=points.device)
-        cloud[..., :num_points, :3] = points
-        cloud[..., num_points:, :3] = gripper_control_points(device=points.device)
-        cloud[..., num_points:, 3] = 1.0
-        return cloud
 
 
 def default_labels() -> dict[NestedKey, Tensor]:
@@ -140,6 +152,22 @@ def default_labels() -> dict[NestedKey, Tensor]:
     labels: dict[NestedKey, Tensor] = {keys.EXPERT_ACTION: torch.zeros(ACTION_SIZE)}
     labels[keys.GOAL] = torch.tensor(_NO_GOAL)
     return labels | {key: torch.zeros(1, dtype=torch.bool) for key in _FLAGS}
+
+
+def _as_key(key: NestedKey) -> NestedKey:
+    """A key that a configuration gave: lists of names stand for tuples."""
+    return key if isinstance(key, str) else tuple(key)
+
+
+def _read(steps: TensorDictBase, key: NestedKey, *, after_cut: bool = False) -> Tensor:
+    value = steps.get(key, None)
+    if value is None:
+        place = f'("next", {key!r}), which the last state of a cut rollout is,' if after_cut else repr(key)
+        raise ConfigError(
+            f"CompactTransitions finds no {place} in the trajectories: write it, keep it when they are "
+            "handed over, or leave it out of what the codec stores (replay.codec)."
+        )
+    return value
 
 
 def _get_or(steps: TensorDictBase, key: NestedKey, default: Tensor) -> Tensor:

@@ -21,11 +21,20 @@ def label_episode_success(trajectories: TensorDictBase) -> TensorDictBase:
     >>> label_episode_success(steps)["episode_success"].squeeze(-1).tolist()
     [True, True, False, False, False]
     """
+    return trajectories.set(keys.EPISODE_SUCCESS, find_outcomes(trajectories)[1].unsqueeze(-1))
+
+
+def find_outcomes(trajectories: TensorDictBase) -> tuple[Tensor, Tensor]:
+    """For each step of (*, T): the step at which its episode ends, the last of all where none does, and r_T.
+
+    Returns:
+        end: (*, T) int64.
+        success: (*, T) bool; see `label_episode_success`.
+    """
     done = trajectories["next", "done"].squeeze(-1)
     success = (trajectories["next", "reward"].squeeze(-1) > 0.5) & done
     end, ended = _find_ends(done)
-    outcome = success.gather(-1, end) & ended
-    return trajectories.set(keys.EPISODE_SUCCESS, outcome.unsqueeze(-1))
+    return end, success.gather(-1, end) & ended
 
 
 def split_episodes(trajectories: TensorDictBase) -> list[TensorDictBase]:

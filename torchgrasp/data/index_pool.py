@@ -49,13 +49,17 @@ class IndexPool:
         rows = rows[self._place[rows] >= 0]
         holes = self._place[rows]
         self._place[rows] = -1
-        size = self._size - rows.numel()
-        tail = self._rows[size : self._size]
+        before, self._size = self._size, self._size - rows.numel()
+        tail = self._rows[self._size : before]
         movers = tail[self._place[tail] >= 0]
-        holes = holes[holes < size]
+        holes = holes[holes < self._size]
+        sources = self._place[movers]
         self._rows[holes] = movers
         self._place[movers] = holes
-        self._size = size
+        self._move(sources, holes, range(self._size, before))
+
+    def _move(self, sources: Tensor, places: Tensor, removed: range) -> None:
+        """What belongs to members goes with them: from `sources` (k) to `places` (k); `removed` are empty."""
 
     def draw(self, num_rows: int, generator: torch.Generator | None) -> Tensor:
         """(num_rows) int64 members, uniform and with replacement."""

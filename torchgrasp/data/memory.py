@@ -6,23 +6,53 @@ import os
 import shutil
 from pathlib import Path
 
+from tensordict import TensorDictBase
+
+from torchgrasp import keys
+from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
+from torchgrasp.geometry import gripper_control_points
 
-# time left, reward: float32; source, successor, draw list and its inverse: int64; 8 flags.
-_SCALARS = 4 + 4 + 4 * 8 + 8
+# Where a row's successor is; its place in the list of draws, and the list.
+_INDICES = 3 * 8
+# A float64 weight, and its share of the sums above it.
+_WEIGHT = 9
 
 
-def estimate_bytes(num_steps: int, *, num_points: int = 1024) -> int:
-    """Bytes that `num_steps` transitions take as CompactTransitions stores them, sampler included.
+def count_row_bytes(rows: TensorDictBase, *, prioritised: bool = False) -> int:
+    """Bytes that each of the encoded `rows` (R, at least one) takes in a buffer, sampler included."""
+    columns = rows.values(True, True)
+    stored = sum(column.element_size() * column[0].numel() for column in columns)
+    return stored + _INDICES + prioritised * _WEIGHT
 
-    `num_points` counts the object's points without the gripper's six, 6 bytes each.
+
+def estimate_bytes(
+    num_rows: int,
+    row: TensorDictBase | None = None,
+    *,
+    num_points: int = 1024,
+    prioritised: bool = False,
+) -> int:
+    """Bytes that `num_rows` transitions take in a MixtureReplayBuffer, sampler included.
+
+    Args:
+        num_rows: transitions, and one more for each cut of a trajectory.
+        row: encoded rows (R) like those to be stored: of a demonstration file, or the codec's
+            `example_row`. By default clouds, as CompactTransitions() stores them.
+        num_points: of those clouds, without the gripper's six.
+        prioritised: whether the sampler has a priority.
 
     >>> f"{estimate_bytes(2_000_000) / 1e9:.1f} GB"
     '12.5 GB'
+    >>> codec = CompactTransitions(points_key=None, image_channels="rgbd")
+    >>> row = codec.example_row({"image": (4, 112, 112), "time_left": (1,)})
+    >>> f"{estimate_bytes(200_000, row) / 1e9:.1f} GB"
+    '12.6 GB'
     """
-    floats = 2 * ACTION_SIZE + GOAL_SIZE
-    return num_steps * (6 * num_points + 4 * floats + _SCALARS)
+    if row is None:
+        cloud = (num_points + len(gripper_control_points()), 4)
+        row = CompactTransitions().example_row({keys.POINTS: cloud, keys.TIME_LEFT: (1,)})
+    return num_rows * count_row_bytes(row, prioritised=prioritised)
 
 
 def available_memory() -> int:
@@ -49,8 +79,11 @@ def _meminfo_available() -> int:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def check_space(num_bytes: int, *, folder: str | Path | None = None) -> None:
-    """Raise ConfigError where `num_bytes` do not fit the memory, or the disk below `folder`."""
+def check_space(num_rows: int, row_bytes: int, *, folder: str | Path | None = None) -> None:
+    """Raise ConfigError where `num_rows` rows of `row_bytes` do not fit the memory, or the disk at `folder`.
+
+    The message says how many rows of that size would fit.
+    """
     if folder is None:
         free, where = available_memory(), "of memory"
         remedy = "store it on disk (replay.folder=<folder>)"
@@ -58,8 +91,9 @@ def check_space(num_bytes: int, *, folder: str | Path | None = None) -> None:
         existing = next(p for p in (Path(folder).absolute(), *Path(folder).absolute().parents) if p.exists())
         free, where = shutil.disk_usage(existing).free, f"of disk below {existing}"
         remedy = "name a folder on a larger disk"
-    if num_bytes > free:
+    if num_rows * row_bytes > free:
         raise ConfigError(
-            f"The replay buffer needs {num_bytes / 1e9:.1f} GB and {free / 1e9:.1f} GB {where} are free: "
-            f"lower the capacities, use fewer points, or {remedy}."
+            f"The replay buffer needs {num_rows * row_bytes / 1e9:.1f} GB for {num_rows} transitions of "
+            f"{row_bytes} bytes, and {free / 1e9:.1f} GB {where} are free: {free // row_bytes} such "
+            f"transitions would fit. Lower the capacities to that, use fewer points or pixels, or {remedy}."
         )

@@ -150,7 +150,7 @@ def _read_observation(episode: Any, name: NestedKey, codec: CompactTransitions, 
             f"{[join_key(each) for each in codec.observation_keys]}."
         )
     given, lengths = states[join_key(name)], [len(episode.rewards) + 1]
-    if name == codec.observation_keys[0]:
+    if name == codec.points_key:
         points = read_column(given, told, lengths=lengths, dtype=torch.float16)
         if points.ndim != 3 or (codec.gripper_points and points.shape[-1] != 3):
             raise ConfigError(

@@ -1,4 +1,4 @@
-"""MixtureSampler: batches that mix sources of data in exact shares (Sec. 6.4: 70 % online, 30 % expert)."""
+"""MixtureSampler: batches that mix sources in exact shares (Sec. 6.4: 70 % online, 30 % expert)."""
 
 from __future__ import annotations
 
@@ -11,29 +11,40 @@ import torch
 from safetensors.torch import load_file, save_file
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data.replay_buffers.samplers import Sampler
+from torchrl.data.replay_buffers.samplers import PrioritizedSampler, Sampler
 from torchrl.data.replay_buffers.storages import Storage
 
 from torchgrasp.data.index_pool import IndexPool
+from torchgrasp.data.priorities import Priority, PriorityPool
 from torchgrasp.data.shares import check_shares, split_batch
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, check_range
 
 SOURCE = "source"
 STUB = "stub"
+# What of the state is written as tensors.
+_TENSORS = ("rows", "weights")
 
 
 class MixtureSampler(Sampler):
-    """Draws every batch with an exact number of rows from each source, uniformly within a source.
+    """Draws every batch with an exact number of rows from each source, within a source by chance.
 
     Works in any TorchRL replay buffer whose rows say where they come from: an int64 `source_key`
     of shape (*, 1) or (*) that counts the names of `shares` in their order. Numbers of rows are
     `split_batch`'s (largest remainders). A source without data gives its rows to the others in
     proportion to their shares. Rows of one source stand together in the batch, in the order of
-    `shares`. Rows flagged in `skip_key` (where the storage has it) are never drawn. The cost does
-    not grow with the storage. Fill the buffer from the process that samples it.
+    `shares`. Rows flagged in `skip_key` (where the storage has it) are never drawn. Fill the buffer
+    from the process that samples it.
+
+    Draws are uniform, at a cost that does not grow with the storage, or, given a `priority`, in
+    proportion to (|δ| + eps)^alpha among the rows of a source, at a cost that grows with the
+    logarithm. New rows then count as much as the largest error of their source so far. The batch
+    gets ``priority_weight`` (B), (N P(i))^-beta by the largest in the batch, N and P those of the
+    row's source: rows of one source are corrected towards a uniform draw, and shares stay what they
+    are. ``buffer.update_tensordict_priority(batch)`` takes up the errors that a loss wrote.
 
     Args:
         shares: source name -> share; shares add up to 1.
+        priority: prefers rows of large errors (Schaul et al. 2016); uniform if None.
         source_key: where a row's source number stands.
         skip_key: where a row says that it is no transition.
 
@@ -41,27 +52,45 @@ class MixtureSampler(Sampler):
     >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
     >>> buffer = TensorDictReplayBuffer(
     ...     storage=LazyTensorStorage(1000),
-    ...     sampler=MixtureSampler({"online": 0.7, "expert": 0.3}),
+    ...     sampler=MixtureSampler({"online": 0.7, "expert": 0.3}, priority=Priority()),
     ...     batch_size=250,
     ... )
     >>> source = (torch.arange(1000) % 10 == 0).long()
     >>> _ = buffer.extend(TensorDict({"x": torch.randn(1000, 3), "source": source}, [1000]))
-    >>> int(buffer.sample()["source"].sum())
-    75
+    >>> batch = buffer.sample()
+    >>> buffer.update_tensordict_priority(batch.set("td_error", torch.rand(250)))
+    >>> int(batch["source"].sum()), batch["priority_weight"].unique()
+    (75, tensor([1.]))
     """
+
+    # How TorchRL's buffers reduce errors of several values a row.
+    reduction = "max"
 
     def __init__(
         self,
         shares: Mapping[str, float],
         *,
+        priority: Priority | None = None,
         source_key: NestedKey = SOURCE,
         skip_key: NestedKey = STUB,
     ) -> None:
         super().__init__()
         self._shares = check_shares(shares)
-        self._pools = {name: IndexPool() for name in self._shares}
+        self._priority = priority
+        self._beta = 0.0 if priority is None else priority.beta
         self._source_key = source_key
         self._skip_key = skip_key
+        self._empty()
+
+    @property
+    def beta(self) -> float:
+        """Exponent of the weights; set it to anneal it, or give it to TorchRL's LinearScheduler."""
+        return self._beta
+
+    @beta.setter
+    def beta(self, beta: float) -> None:
+        check_range("beta", float(beta), 0.0, 1.0)
+        self._beta = float(beta)
 
     @property
     def shares(self) -> dict[str, float]:
@@ -80,7 +109,7 @@ class MixtureSampler(Sampler):
         return {name: len(pool) for name, pool in self._pools.items()}
 
     def sample(self, storage: Storage, batch_size: int) -> tuple[Tensor, dict]:
-        """(batch_size) int64 row numbers, grouped by source, and an empty info."""
+        """(batch_size) int64 row numbers, grouped by source; with a priority, their weights too."""
         filled = {name: share for name, share in self._shares.items() if share > 0 and len(self._pools[name])}
         if not filled:
             raise RuntimeError(
@@ -88,7 +117,35 @@ class MixtureSampler(Sampler):
                 "Extend the buffer first, with data of a source whose share is above 0."
             )
         counts = split_batch(batch_size, filled)
-        return torch.cat([self._pools[name].draw(n, self._rng) for name, n in counts.items()]), {}
+        rows = {name: self._pools[name].draw(count, self._rng) for name, count in counts.items()}
+        return torch.cat([*rows.values()]), self._weigh(rows)
+
+    def _weigh(self, rows: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        if self._priority is None:
+            return {}
+        parts = [cast(PriorityPool, self._pools[name]).relative(each) for name, each in rows.items()]
+        weights = torch.cat(parts) ** -self._beta
+        return {"priority_weight": (weights / weights.max()).float()}
+
+    @property
+    def default_priority(self) -> float:
+        """The largest error so far, 1 at first: TorchRL's buffers give it to rows that come without one."""
+        pools = self._pools.values()
+        known = [pool.largest for pool in pools if isinstance(pool, PriorityPool) and pool.largest]
+        if self._priority is None or not known or not self._priority.alpha:
+            return 1.0
+        return max(known) ** (1.0 / self._priority.alpha) - self._priority.eps
+
+    def update_priority(
+        self, index: int | Tensor, priority: float | Tensor, *, storage: Storage | None = None
+    ) -> None:
+        """Take up the errors `priority` (k or one) of the rows at `index` (k); nothing without a priority."""
+        if self._priority is None:
+            return
+        rows = torch.as_tensor(index).reshape(-1).cpu()
+        weights = self._priority.weigh(torch.as_tensor(priority).reshape(-1)).expand(rows.shape)
+        for pool in self._pools.values():
+            cast(PriorityPool, pool).set_weights(rows, weights)
 
     def mark_update(self, index: int | Tensor, *, storage: Storage | None = None) -> None:
         """Note that the rows at `index` were written; TorchRL's writers call this."""
@@ -117,31 +174,54 @@ class MixtureSampler(Sampler):
         return sum(len(pool) for name, pool in self._pools.items() if self._shares[name] > 0)
 
     def _empty(self) -> None:
-        self._pools = {name: IndexPool() for name in self._shares}
+        make = IndexPool if self._priority is None else PriorityPool
+        self._pools: dict[str, IndexPool] = {name: make() for name in self._shares}
 
     def state_dict(self) -> dict[str, Any]:
-        """Shares, and the drawable rows of each source in their order, so that draws repeat."""
+        """Shares, and the drawable rows of each source in their order, so that draws repeat.
+
+        With a priority also the weights of the rows, the largest so far, and beta.
+        """
         rows = {name: pool.members.clone() for name, pool in self._pools.items()}
-        return {"shares": self.shares, "rows": rows}
+        state: dict[str, Any] = {"shares": self.shares, "rows": rows}
+        pools = {name: pool for name, pool in self._pools.items() if isinstance(pool, PriorityPool)}
+        if pools:
+            state["weights"] = {name: pool.weights for name, pool in pools.items()}
+            state["largest"] = {name: pool.largest for name, pool in pools.items()}
+            state["beta"] = self._beta
+        return state
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Undo `state_dict`; the sources must be the same."""
+        """Undo `state_dict`; the sources must be the same, and both with a priority or both without."""
+        if ("weights" in state_dict) != (self._priority is not None):
+            raise ConfigError(
+                f"A sampler {'with' if 'weights' in state_dict else 'without'} a priority was saved and "
+                f"cannot be loaded with priority={self._priority}: build it as it was."
+            )
         self.set_shares(state_dict["shares"])
         for name, pool in self._pools.items():
-            pool.load(state_dict["rows"][name])
+            if not isinstance(pool, PriorityPool):
+                pool.load(state_dict["rows"][name])
+                continue
+            pool.load(state_dict["rows"][name], state_dict["weights"][name])
+            pool.largest = state_dict["largest"][name]
+            self._beta = state_dict["beta"]
 
     def dumps(self, path: str | Path) -> None:
         """Write `state_dict` into the folder `path`."""
         folder = Path(path)
         folder.mkdir(parents=True, exist_ok=True)
         state = self.state_dict()
-        (folder / "shares.json").write_text(json.dumps(state["shares"]))
-        save_file(state["rows"], folder / "rows.safetensors")
+        for name in set(_TENSORS) & set(state):
+            save_file(state.pop(name), folder / f"{name}.safetensors")
+        (folder / "sampler.json").write_text(json.dumps(state))
 
     def loads(self, path: str | Path) -> None:
         """Read what `dumps` wrote."""
-        shares = json.loads((Path(path) / "shares.json").read_text())
-        self.load_state_dict({"shares": shares, "rows": load_file(Path(path) / "rows.safetensors")})
+        folder = Path(path)
+        state = json.loads((folder / "sampler.json").read_text())
+        files = {name: folder / f"{name}.safetensors" for name in _TENSORS}
+        self.load_state_dict(state | {name: load_file(file) for name, file in files.items() if file.exists()})
 
     def __repr__(self) -> str:
         return f"MixtureSampler(shares={self._shares}, rows={self.num_rows()})"
@@ -151,3 +231,8 @@ def _read(storage: Storage, rows: Tensor, keys: tuple[NestedKey, ...]) -> Tensor
     # MixtureStorage reads single columns; other storages hand out whole rows.
     read_columns = getattr(storage, "read_columns", None)
     return cast(Any, storage).get(rows) if read_columns is None else read_columns(rows, keys)
+
+
+# TorchRL's buffers hand errors on to a PrioritizedSampler alone. To be one in name suffices: its own trees
+# are not needed, and are compiled code that does not load beside every version of torch.
+PrioritizedSampler.register(MixtureSampler)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorStorage, Storage
 
-from torchgrasp.data.memory import check_space
+from torchgrasp.data.memory import check_space, count_row_bytes
 from torchgrasp.errors import ConfigError
 
 SUCCESSOR = "successor"
@@ -60,6 +60,7 @@ class MixtureStorage(Storage):
         self._ends = torch.tensor(list(accumulate(self.capacities.values())))
         self._folder = None if folder is None else Path(folder)
         self._next_keys, self._end_keys = tuple(next_keys), tuple(end_keys)
+        self._columns: dict[str, dict[Any, Tensor]] = {}
         self._regions: dict[str, Any] = {name: self._make_region(name) for name in self.capacities}
 
     def _make_region(self, name: str) -> LazyTensorStorage:
@@ -80,9 +81,10 @@ class MixtureStorage(Storage):
         data = data.reshape(index.numel())
         if set_cursor:
             self._set_last_cursor(index)
+        if not any(region.initialized for region in self._regions.values()):
+            check_space(self.max_size, count_row_bytes(data), folder=self._folder)
         if self._next_keys:
             data = data.copy().set(SUCCESSOR, self._link(index, data))
-        self._check_space(index, data)
         owner = torch.bucketize(index, self._ends, right=True)
         for number in owner.unique().tolist():
             name, mine = list(self._regions)[number], owner == number
@@ -104,12 +106,6 @@ class MixtureStorage(Storage):
                 following = torch.where(end.reshape(-1).to(index.device), index, following)
         return following
 
-    def _check_space(self, index: Tensor, data: TensorDictBase) -> None:
-        if any(region.initialized for region in self._regions.values()):
-            return
-        row_bytes = sum(value.element_size() * value[0].numel() for value in data.values(True, True))
-        check_space(row_bytes * self.max_size, folder=self._folder)
-
     def get(self, index: Any) -> TensorDictBase:
         """Rows at flat `index` (int, slice, or integers of any shape), with ("next", key) where linked."""
         if isinstance(index, slice):
@@ -128,13 +124,39 @@ class MixtureStorage(Storage):
             order = torch.argsort(owner, stable=True)
             index, owner = index[order], owner[order]
         counts = torch.bincount(owner, minlength=len(self._regions)).tolist()
-        parts = [
-            _take(region, part - self.offsets[name], keys)
-            for (name, region), part in zip(self._regions.items(), index.split(counts), strict=True)
-            if part.numel()
-        ]
-        rows = parts[0] if len(parts) == 1 else torch.cat(cast(list[Any], parts))
+        named = zip(self._regions, index.split(counts), strict=True)
+        parts = [(name, part - self.offsets[name]) for name, part in named if part.numel()]
+        filled = [(name, index) for name, rows in self.num_rows().items() if rows]
+        rows = self._gather(parts or filled[:1], keys)
         return rows if order is None else rows[torch.argsort(order)]
+
+    def _gather(self, parts: Sequence[tuple[str, Tensor]], keys: Sequence[NestedKey] | None) -> TensorDict:
+        """Rows of the regions named, one after the other, each column read straight into its place."""
+        names = self._get_columns(parts[0][0])
+        size = sum(part.numel() for _, part in parts)
+        rows: dict[Any, Tensor] = {}
+        for key in names if keys is None else (key for key in map(unravel_key, keys) if key in names):
+            column = rows[key] = names[key].new_empty(size, *names[key].shape[1:])
+            pieces = column.split([part.numel() for _, part in parts])
+            for (name, part), piece in zip(parts, pieces, strict=True):
+                # index_select copies whole rows; indexing with a tensor goes element by element.
+                torch.index_select(self._get_columns(name)[key], 0, part, out=piece)
+        return TensorDict(rows, [size])
+
+    def _get_columns(self, name: str) -> dict[Any, Tensor]:
+        """The filled part of each column of a region, as plain views, until the next write."""
+        if name not in self._columns:
+            rows = self._regions[name].get(slice(None))
+            self._columns[name] = {key: value.as_subclass(Tensor) for key, value in rows.items(True, True)}
+        return self._columns[name]
+
+    def _bump_mutation_revision(self) -> None:
+        self._columns = {}
+        super()._bump_mutation_revision()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Mapped files are handed over by name, plain views of them would be as copies.
+        return {**super().__getstate__(), "_columns": {}}
 
     def _filled(self) -> Tensor:
         regions = self._regions.items()
@@ -169,7 +191,7 @@ class MixtureStorage(Storage):
         self._empty()
         for name, columns in state_dict["rows"].items():
             rows = TensorDict(columns, [next(iter(columns.values())).shape[0]]).unflatten_keys(".")
-            self._regions[name].set(torch.arange(rows.shape[0]), rows)
+            self._regions[name].set(slice(0, rows.shape[0]), rows)
         self._bump_mutation_revision()
 
     def dumps(self, path: str | Path) -> None:
@@ -184,17 +206,10 @@ class MixtureStorage(Storage):
         for name, region in self._regions.items():
             if (Path(path) / name).is_dir():
                 rows = TensorDict.load_memmap(Path(path) / name, allow_pickle=False)
-                region.set(torch.arange(rows.shape[0]), rows)
+                region.set(slice(0, rows.shape[0]), rows)
         self._bump_mutation_revision()
 
 
 def keep_batch(batch: TensorDictBase) -> TensorDictBase:
     """The `collate_fn` of a TorchRL buffer over a storage of this package: batches are whole already."""
     return batch
-
-
-def _take(region: Any, index: Tensor, keys: Sequence[NestedKey] | None) -> TensorDictBase:
-    rows = region.get(slice(None))
-    rows = rows if keys is None else rows.select(*keys, strict=False)
-    # index_select copies whole rows; indexing with a tensor goes element by element.
-    return rows.apply(lambda column: column.index_select(0, index), batch_size=index.shape)

@@ -8,6 +8,7 @@ from torchgrasp.transforms.depth_noise import DepthNoise as DepthNoise
 from torchgrasp.transforms.faults import DropPoints as DropPoints
 from torchgrasp.transforms.faults import JitterPoints as JitterPoints
 from torchgrasp.transforms.gripper import AppendGripperPoints as AppendGripperPoints
+from torchgrasp.transforms.hindsight import HindsightGoal as HindsightGoal
 from torchgrasp.transforms.history import HistoryTransform as HistoryTransform
 from torchgrasp.transforms.image import CameraImage as CameraImage
 from torchgrasp.transforms.mirror import RandomMirror as RandomMirror

@@ -1,0 +1,53 @@
+"""The choices of conf/replay: what a learner stores and how it draws."""
+
+import common
+import pytest
+import torch
+from hydra.utils import instantiate
+from runner import ROOT
+from tensordict import TensorDict
+
+from torchgrasp.data import MixtureReplayBuffer
+from torchgrasp.transforms import HindsightGoal
+
+# Observations that each preset stores, of shapes as its transforms would write them.
+SHAPES = {"mixture": {"points": (14, 4)}, "prioritised": {"points": (14, 4)}, "images": {"image": (4, 8, 8)}}
+
+
+def test_every_preset_is_tested():
+    assert {file.stem for file in (ROOT / "conf" / "replay").glob("*.yaml")} == set(SHAPES)
+
+
+@pytest.mark.parametrize(("preset", "shapes"), SHAPES.items())
+def test_a_preset_makes_a_buffer_of_what_it_stores(composed, preset, shapes):
+    chosen = [f"replay={preset}", "env.num_envs=1"]
+    chosen += ["+transforms.image.channels=rgbd"] if preset == "images" else []
+    cfg = composed(*chosen)
+    codec, priority = instantiate(cfg.replay.codec), instantiate(cfg.replay.priority)
+    assert codec.observation_keys == (*shapes, "time_left")
+    row = codec.example_row({**shapes, "time_left": (1,)})
+    options = {"batch_size": cfg.replay.batch_size, "codec": codec, "priority": priority, "row": row}
+    buffer = MixtureReplayBuffer({"online": 10}, {"online": 1.0}, **options)
+    buffer.extend_rows(
+        torch.cat([row] * 5).set("source", torch.zeros(5, 1, dtype=torch.int64)), source="online"
+    )
+    batch = buffer.sample()
+    assert batch.shape == (cfg.replay.batch_size,)
+    assert (batch.get("priority_weight", None) is not None) == (preset == "prioritised")
+    assert all(batch["next", key].shape[1:] == shape for key, shape in shapes.items())
+
+
+def test_a_critic_that_reads_the_goal_has_its_next_value_stored(composed):
+    codec = instantiate(composed("replay.codec.state_keys=[time_left,goal]").replay.codec)
+    assert codec.observation_keys == ("points", "time_left", "goal")
+    row = codec.example_row({"points": (14, 4), "time_left": (1,), "goal": (7,)})
+    assert isinstance(row, TensorDict) and row["goal"].shape == (1, 7)
+
+
+def test_hindsight_goals_are_an_override_away(composed):
+    cfg = composed(
+        "replay.augment={_target_: torchgrasp.transforms.HindsightGoal}", "+replay.augment.keep=true"
+    )
+    assert isinstance(instantiate(cfg.replay.augment), HindsightGoal)
+    # What it reads is handed over by the workers.
+    assert "T_base_ee" in common.KEPT

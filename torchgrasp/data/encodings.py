@@ -1,0 +1,132 @@
+"""How a replay buffer keeps one observation: clouds as float16, pictures as bytes."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import gripper_control_points
+
+_NUM_GRIPPER_POINTS = len(gripper_control_points())
+_LETTERS = "rgbdm"
+
+
+class PlainEncoding:
+    """Values as they are."""
+
+    def encode(self, values: Tensor) -> Tensor:
+        """The values themselves."""
+        return values
+
+    def decode(self, stored: Tensor) -> Tensor:
+        """The values themselves."""
+        return stored
+
+
+class CloudEncoding:
+    """Clouds (*, N, C) in metres as float16: below 1 m to a quarter of a millimetre.
+
+    With `gripper_points`, the gripper's six points (X_g of Eq. (2)) and the flag channel of
+    (*, N + 6, 4), equal in every state, are left out and come back.
+
+    Args:
+        key: names the cloud in errors.
+        gripper_points: whether the clouds end with the gripper's points and have a flag channel.
+    """
+
+    def __init__(self, key: NestedKey, *, gripper_points: bool) -> None:
+        self._key, self._gripper_points = key, gripper_points
+
+    def encode(self, values: Tensor) -> Tensor:
+        """(R, N + 6, 4) float32 to (R, N, 3) float16; or (R, N, C) to the same in float16."""
+        if not self._gripper_points:
+            return values.half()
+        self._check(values)
+        # Made contiguous first: torch converts strided values one by one.
+        return values[..., :-_NUM_GRIPPER_POINTS, :3].contiguous().half()
+
+    def _check(self, points: Tensor) -> None:
+        tail = points[..., -_NUM_GRIPPER_POINTS:, :3]
+        expected = gripper_control_points(device=points.device)
+        fits = points.shape[-1] == 4 and tail.shape[-2:] == expected.shape
+        if not fits or not torch.allclose(tail, expected.expand_as(tail), atol=1e-4):
+            raise ConfigError(
+                f"{self._key!r} of shape {tuple(points.shape)} does not end with the gripper's "
+                f"{_NUM_GRIPPER_POINTS} points and a flag channel: put AppendGripperPoints after every "
+                "transform that moves points, or build CompactTransitions(gripper_points=False)."
+            )
+
+    def decode(self, stored: Tensor) -> Tensor:
+        """Undo `encode`, up to float16."""
+        if not self._gripper_points:
+            return stored.float()
+        *batch, num_points, _ = stored.shape
+        # Spread out while it is half as large, then converted in one piece: a third of the time.
+        spread = stored.new_zeros(*batch, num_points + _NUM_GRIPPER_POINTS, 4)
+        spread[..., :num_points, :3] = stored
+        cloud = spread.float()
+        cloud[..., num_points:, :3] = gripper_control_points(device=stored.device)
+        cloud[..., num_points:, 3] = 1.0
+        return cloud
+
+
+class ImageEncoding:
+    """Pictures (*, C, H, W) as uint8: colours and mask a byte each, depth the two bytes of a float16.
+
+    Colours that are 255ths, which pictures of a camera are unless they were resized, and masks come
+    back exactly; other colours move by at most half a 255th. Depth below 2 m moves by at most 0.5 mm.
+
+    Args:
+        key: names the picture in errors.
+        channels: a letter for each of the C planes in their order, of r, g, b, d and m.
+
+    >>> image = torch.stack((torch.rand(4, 4), torch.ones(4, 4)))
+    >>> encoding = ImageEncoding("image", "dm")
+    >>> stored = encoding.encode(image)
+    >>> stored.dtype, stored.shape, encoding.decode(stored)[1].unique()
+    (torch.uint8, torch.Size([3, 4, 4]), tensor([1.]))
+    """
+
+    def __init__(self, key: NestedKey, channels: str) -> None:
+        if not channels or set(channels) - set(_LETTERS) or len(set(channels)) < len(channels):
+            raise ConfigError(
+                f"image_channels={channels!r}: give a letter a plane, each once, of {', '.join(_LETTERS)}."
+            )
+        self._key, self._channels = key, channels
+        self._depth = [place for place, letter in enumerate(channels) if letter == "d"]
+        self._others = [place for place, letter in enumerate(channels) if letter != "d"]
+
+    def encode(self, values: Tensor) -> Tensor:
+        """(*, C, H, W) float32 to (*, K, H, W) uint8; K is C, and one more where there is depth."""
+        if values.shape[-3] != len(self._channels):
+            raise ConfigError(
+                f"{self._key!r} of shape {tuple(values.shape)} has not the {len(self._channels)} planes of "
+                f"image_channels={self._channels!r}: name those that the transform CameraImage writes."
+            )
+        planes = values[..., self._others, :, :]
+        if planes.numel() and not bool(((planes >= 0) & (planes <= 1)).all()):
+            raise ConfigError(
+                f"{self._key!r} holds colours or masks outside [0, 1]: normalise sampled batches instead "
+                "(replay.augment)."
+            )
+        parts = [(planes * 255.0).round().to(torch.uint8)]
+        if self._depth:
+            depth = values[..., self._depth[0], :, :].half().contiguous()
+            parts.append(depth.view(torch.uint8).reshape(*depth.shape[:-2], 2, *depth.shape[-2:]))
+        return torch.cat(parts, dim=-3)
+
+    def decode(self, stored: Tensor) -> Tensor:
+        """(*, K, H, W) uint8 to (*, C, H, W) float32."""
+        *batch, _, height, width = stored.shape
+        image = torch.empty(*batch, len(self._channels), height, width, device=stored.device)
+        count = len(self._others)
+        image[..., self._others, :, :] = stored[..., :count, :, :].float() / 255.0
+        if self._depth:
+            depth = stored[..., count:, :, :].contiguous().reshape(*batch, height, 2 * width)
+            image[..., self._depth[0], :, :] = depth.view(torch.float16).float()
+        return image
+
+
+Encoding = PlainEncoding | CloudEncoding | ImageEncoding

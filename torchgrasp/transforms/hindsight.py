@@ -1,0 +1,91 @@
+"""HindsightGoal: where an episode has grasped becomes the goal of its steps (Algorithm 1, Sec. 6.1)."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.envs.transforms import Transform
+
+from torchgrasp import keys
+from torchgrasp.data.compact import default_labels
+from torchgrasp.data.episodes import find_outcomes
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import invert_pose, pose_to_goal
+
+
+class HindsightGoal(Transform):
+    """Writes goal_t = T_t^-1 T_reached into the steps of successful episodes (Sec. 6.1).
+
+    T_reached is the pose of the hand when it closes: ("next", T_BASE_EE) of the episode's last step,
+    which GraspEnv reads before it closes and lifts. An episode succeeded if its last reward is above
+    0.5. Steps of other episodes, and of those that the rollout cuts off before their end, have no
+    goal afterwards. Rewards stay as they are, unlike in HER; Eq. (5) is
+    ``GraspTD3BCLoss(hindsight=True)``.
+
+    On a bare tensordict (*, T), time last, the call writes GOAL (*, T, 7) and HAS_GOAL (*, T, 1),
+    and both in "next". As the `transform` of a replay buffer it does so when trajectories are
+    extended, and drops the poses; sampled batches, which have none, it leaves as they are. In an
+    environment, which does not know how an episode ends, it changes nothing.
+
+    Args:
+        keep: leave goals that are known already, such as the expert's, where has_goal is true. By
+            default they go: of unknown objects there are none.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> poses = torch.eye(4).repeat(3, 1, 1)
+        >>> poses[:, 2, 3] = torch.tensor([0.0, 0.1, 0.3])  # the hand moves along its z axis
+        >>> ends = {"reward": torch.tensor([[0.0], [1.0]]), "done": torch.tensor([[False], [True]])}
+        >>> steps = TensorDict({"T_base_ee": poses[:2], "next": {"T_base_ee": poses[1:], **ends}}, [2])
+        >>> HindsightGoal()(steps)["goal"][:, 2]
+        tensor([0.3000, 0.2000])
+    """
+
+    def __init__(self, *, keep: bool = False) -> None:
+        super().__init__()
+        self._keep = keep
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the goals of trajectories (*, T); a tensordict without poses stays as it is."""
+        if tensordict.get(keys.T_BASE_EE, None) is None:
+            return tensordict
+        return self._relabel(tensordict)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        if self._is_in_environment():
+            return tensordict
+        relabelled = self._relabel(tensordict.copy())
+        return relabelled.exclude(keys.T_BASE_EE, ("next", keys.T_BASE_EE))
+
+    def _is_in_environment(self) -> bool:
+        try:
+            return self.container is not None
+        except ValueError:  # TorchRL's answer to a Compose that is in none
+            return False
+
+    def _relabel(self, steps: TensorDictBase) -> TensorDictBase:
+        names = (keys.T_BASE_EE, ("next", keys.T_BASE_EE), ("next", "reward"), ("next", "done"))
+        missing = [name for name in names if steps.get(name, None) is None]
+        if missing:
+            raise ConfigError(f"HindsightGoal needs {missing} of each step: keep them with the trajectories.")
+        end, success = find_outcomes(steps)
+        following = steps.get("next").copy()
+        after = following[keys.T_BASE_EE]
+        T_base_reached = after.gather(-3, end[..., None, None].expand(after.shape))
+        for states in (steps, following):
+            self._write(states, T_base_reached, success)
+        return steps.set("next", following)
+
+    def _write(self, states: TensorDictBase, T_base_reached: Tensor, success: Tensor) -> None:
+        """Set the goals of the `states` (*, T) where `success` (*, T) holds."""
+        goal = pose_to_goal(invert_pose(states[keys.T_BASE_EE]) @ T_base_reached)
+        old, known = (states.get(key, None) for key in (keys.GOAL, keys.HAS_GOAL))
+        has_goal = success[..., None]
+        goal = torch.where(has_goal, goal, default_labels()[keys.GOAL].to(goal))
+        if self._keep and old is not None and known is not None:
+            goal, has_goal = torch.where(known, old, goal), known | has_goal
+        states.set(keys.GOAL, goal).set(keys.HAS_GOAL, has_goal)
