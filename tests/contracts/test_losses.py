@@ -1,0 +1,362 @@
+"""What every loss of the library keeps to, whatever it computes."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, fields
+
+import pytest
+import torch
+from tensordict import TensorDict, unravel_key
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.objectives import LossModule
+
+import torchgrasp.objectives as library
+from torchgrasp.errors import ConfigError
+from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
+from torchgrasp.objectives.base import GraspLoss
+
+STATE = 5
+OUTPUTS = ("action", "goal_prediction", "state_action_value")
+
+
+class Net(nn.Module):
+    """An MLP with one head an output, small enough for gradients of every sample."""
+
+    def __init__(self, num_inputs: int, *sizes: int) -> None:
+        super().__init__()
+        self.trunk = nn.Sequential(nn.Linear(num_inputs, 8), nn.Tanh())
+        self.heads = nn.ModuleList(nn.Linear(8, size) for size in sizes)
+
+    def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
+        feature = self.trunk(torch.cat(inputs, dim=-1))
+        return tuple(0.2 * head(feature) for head in self.heads)
+
+
+Names = dict[str, str | tuple[str, ...]]
+
+
+def make_actor(names: Names) -> TensorDictModule:
+    written = [names.get(name, name) for name in ("action", "goal_prediction")]
+    return TensorDictModule(Net(STATE, 6, 7), ["observation"], written)
+
+
+def make_critic(names: Names) -> TensorDictModule:
+    written = [names.get(name, name) for name in ("state_action_value", "goal_prediction")]
+    return TensorDictModule(Net(STATE + 6, 2, 7), ["observation", names.get("action", "action")], written)
+
+
+def make_bc(names: Names, **options) -> GraspLoss:
+    return PoseBCLoss(make_actor(names), aux_weight=0.5, **options)
+
+
+def make_aux(names: Names, **options) -> GraspLoss:
+    return GoalAuxLoss(make_actor(names), success_only=True, **options)
+
+
+def make_td3(names: Names, **options) -> GraspLoss:
+    loss = GraspTD3BCLoss(
+        make_actor(names), make_critic(names), policy_noise=0.0, hindsight=True, bc_weight=0.3, **options
+    )
+    StaggeredTargetUpdate(loss)
+    return loss
+
+
+@dataclass(frozen=True)
+class Case:
+    """How a loss is made, with names for keys that are not its defaults."""
+
+    kind: type[LossModule]
+    make: Callable[..., GraspLoss]
+
+    def __call__(self, names: Names | None = None, **options) -> GraspLoss:
+        torch.manual_seed(0)
+        loss = self.make(names or {}, **options)
+        if names:
+            loss.set_keys(**names)
+        return loss
+
+
+CASES = [Case(PoseBCLoss, make_bc), Case(GoalAuxLoss, make_aux), Case(GraspTD3BCLoss, make_td3)]
+
+
+@pytest.fixture(params=CASES, ids=lambda case: case.kind.__name__)
+def case(request) -> Case:
+    return request.param
+
+
+def make_batch(*shape: int) -> TensorDict:
+    """Transitions with every label and mask, some of each true."""
+    generator = torch.Generator().manual_seed(1)
+
+    def normal(*size: int) -> Tensor:
+        return 0.3 * torch.randn(*shape, *size, generator=generator)
+
+    def chance() -> Tensor:
+        return torch.rand(*shape, 1, generator=generator) < 0.6
+
+    entries = {
+        "observation": normal(STATE),
+        "action": normal(6),
+        "expert_action": normal(6),
+        "has_expert": chance(),
+        "goal": normal(7),
+        "has_goal": chance(),
+        "episode_success": chance(),
+        "perturbed": chance(),
+        "priority_weight": torch.rand(shape, generator=generator) + 0.5,
+        "next": {"observation": normal(STATE), "reward": normal(1), "terminated": chance()},
+    }
+    return TensorDict(entries, shape)
+
+
+@pytest.fixture
+def batch() -> TensorDict:
+    return make_batch(6)
+
+
+def losses(out: TensorDict) -> dict[str, Tensor]:
+    return {key: value for key, value in out.items() if key.startswith("loss_")}
+
+
+def total(out: TensorDict) -> Tensor:
+    return torch.stack(list(losses(out).values())).sum()
+
+
+def gradients(loss: GraspLoss) -> dict[str, Tensor]:
+    return {name: p.grad.clone() for name, p in loss.named_parameters() if p.grad is not None}
+
+
+def assert_same(found, expected) -> None:
+    assert set(found.keys()) == set(expected.keys())
+    for key in found.keys():  # noqa: SIM118
+        torch.testing.assert_close(found[key], expected[key], msg=lambda text, key=key: f"{key}: {text}")
+
+
+def test_every_loss_is_under_contract():
+    public = {kind for kind in vars(library).values() if isinstance(kind, type)}
+    assert {kind for kind in public if issubclass(kind, LossModule)} == {case.kind for case in CASES}
+
+
+def test_construction_and_use_warn_of_nothing(case, batch):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        total(case()(batch)).backward()
+
+
+def test_out_keys_are_what_is_written(case, batch):
+    loss = case()
+    out = loss(batch)
+    assert set(out.keys()) == set(loss.out_keys)
+    for key, value in out.items():
+        assert value.requires_grad == key.startswith("loss_"), key
+
+
+def test_each_term_reaches_the_networks(case, batch):
+    loss = case()
+    names = list(losses(loss(batch.clone())))
+    for name in names:
+        loss.zero_grad()
+        loss(batch.clone())[name].backward()
+        assert any(g.any() for g in gradients(loss).values()), name
+
+
+def test_in_keys_are_complete(case, batch):
+    loss = case()
+    assert_same(loss(batch.select(*loss.in_keys)), loss(batch.clone()))
+
+
+def test_every_in_key_counts(case, batch):
+    """Without it there is an error, or, of masks and weights, another number."""
+    loss = case()
+    expected = loss(batch.clone())
+    for key in loss.in_keys:
+        try:
+            out = loss(batch.exclude(key))
+        except ConfigError as error:
+            assert str(key[-1] if isinstance(key, tuple) else key) in str(error)
+            continue
+        assert any(not torch.equal(out[name], expected[name]) for name in losses(out)), key
+
+
+def test_every_accepted_key_can_be_set(case, batch):
+    """All names nested at once: networks and batch follow, and so do the numbers."""
+    expected = case()(batch.clone())
+    names: Names = {field.name: ("set", f"my_{field.name}") for field in fields(case.kind.default_keys)}
+    below_next = {"reward", "terminated"}
+    renamed = batch.clone()
+    for name, key in names.items():
+        prefix = ("next",) if name in below_next else ()
+        old, new = unravel_key((*prefix, name)), unravel_key((*prefix, key))
+        if old in renamed.keys(True):
+            renamed.rename_key_(old, new)
+    loss = case(names)
+    assert_same(loss(renamed), expected)
+    for key in (key for key in loss.in_keys if "observation" not in key):
+        assert "set" in key
+
+
+def test_unknown_keys_are_refused(case):
+    with pytest.raises(ValueError, match="colour"):
+        case().set_keys(colour="red")
+
+
+def test_dispatch_equals_the_call_with_a_tensordict(case, batch):
+    loss = case()
+    expected = loss(batch.clone())
+    named = {key if isinstance(key, str) else "_".join(key): batch[key] for key in loss.in_keys}
+    found = loss(**named)
+    found = found if isinstance(found, tuple) else (found,)
+    assert_same(dict(zip(loss.out_keys, found, strict=True)), expected)
+
+
+def test_some_out_keys_can_be_selected(case, batch):
+    loss = case()
+    name = loss.out_keys[0]
+    expected = loss(batch.clone())[name]
+    loss.select_out_keys(name)
+    assert loss.out_keys == [name]
+    assert_same(loss(batch), {name: expected})
+    named = {key if isinstance(key, str) else "_".join(key): batch[key] for key in loss.in_keys}
+    torch.testing.assert_close(loss(**named), expected)
+
+
+def test_reductions_agree(case, batch):
+    batch = batch.exclude("priority_weight")
+    each, added, mean = (losses(case(reduction=r)(batch.clone())) for r in ("none", "sum", "mean"))
+    counted = {"bc": batch["has_expert"], "aux": batch["has_goal"], "qvalue": ~batch["perturbed"]}
+    for name, values in each.items():
+        assert values.shape == batch.shape
+        mask = counted.get(name.rpartition("_")[2], torch.ones(6, 1, dtype=torch.bool)).squeeze(-1)
+        assert not values[~mask].any()
+        torch.testing.assert_close(added[name], values.sum())
+        torch.testing.assert_close(mean[name], values.sum() / mask.sum())
+
+
+def test_weights_scale_each_sample(case, batch):
+    plain = losses(case(reduction="none")(batch.exclude("priority_weight")))
+    weighted = losses(case(reduction="none")(batch.clone()))
+    for name, values in plain.items():
+        torch.testing.assert_close(weighted[name], values * batch["priority_weight"])
+    loss = case()
+    loss.use_prioritized_weights = False
+    assert "priority_weight" not in loss.in_keys
+    assert_same(loss(batch.clone()), case()(batch.exclude("priority_weight")))
+
+
+def test_uniform_weights_change_no_mean(case, batch):
+    expected = case()(batch.exclude("priority_weight"))
+    batch["priority_weight"] = torch.full((6,), 0.25)
+    assert_same(case()(batch), expected)
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (2, 3), (1, 2, 3)])
+def test_any_batch_shape_is_welcome(case, shape):
+    loss = case(reduction="none")
+    batch = make_batch(*shape)
+    flat = losses(loss(batch.reshape(-1).clone()))
+    for name, values in losses(loss(batch)).items():
+        assert values.shape == shape
+        torch.testing.assert_close(values.reshape(-1), flat[name])
+
+
+def test_nothing_labelled_gives_zeros_with_a_graph(case, batch):
+    for mask in ("has_expert", "has_goal"):
+        batch[mask] = torch.zeros(6, 1, dtype=torch.bool)
+    batch["perturbed"] = torch.ones(6, 1, dtype=torch.bool)
+    loss = case()
+    out = losses(loss(batch))
+    total(out).backward()
+    assert all(value == 0 for name, value in out.items() if not name.endswith("ddpg"))
+    assert all(g.isfinite().all() for g in gradients(loss).values())
+
+
+def test_labels_outside_their_masks_may_be_anything(case, batch):
+    expected_loss, loss = case(), case()
+    expected = expected_loss(batch.clone())
+    for label, mask in (("expert_action", "has_expert"), ("goal", "has_goal")):
+        batch[label] = torch.where(batch[mask], batch[label], torch.nan)
+    out = loss(batch)
+    assert_same(out, expected)
+    total(out).backward()
+    total(expected).backward()
+    assert_same(gradients(loss), gradients(expected_loss))
+
+
+def test_state_dict_makes_another_loss_the_same(case, batch):
+    first, second = case(), case()
+    with torch.no_grad():
+        for tensor in first.state_dict().values():
+            if isinstance(tensor, Tensor) and tensor.is_floating_point():
+                tensor.mul_(0.9)
+    assert any(not torch.equal(first(batch.clone())[k], v) for k, v in second(batch.clone()).items())
+    second.load_state_dict(first.state_dict())
+    assert_same(second(batch.clone()), first(batch.clone()))
+
+
+@pytest.mark.parametrize("copy", [deepcopy, lambda loss: pickle.loads(pickle.dumps(loss))])
+def test_copies_are_equal_and_apart(case, batch, copy):
+    loss = case()
+    expected = loss(batch.clone())
+    other = copy(loss)
+    assert_same(other(batch.clone()), expected)
+    with torch.no_grad():
+        for parameter in other.parameters():
+            parameter.zero_()
+    assert_same(loss(batch.clone()), expected)
+
+
+def test_moves_reach_every_tensor(case, batch):
+    """A dtype shows it on any machine; devices go the same way, by parameters and buffers alone."""
+    loss = case().to(torch.float64)
+    assert not any(isinstance(value, Tensor) for m in loss.modules() for value in vars(m).values())
+    halves = [t for t in (*loss.parameters(), *loss.buffers()) if t.is_floating_point()]
+    assert {t.dtype for t in halves} == {torch.float64}
+    double = batch.apply(lambda t: t.double() if t.is_floating_point() else t)
+    found = loss(double)
+    assert {value.dtype for value in found.values()} == {torch.float64}
+    assert_same(found.float(), case()(batch))
+
+
+def test_modes_reach_the_networks(case):
+    loss = case()
+    loss.eval()
+    networks = [value for value in vars(loss).values() if isinstance(value, nn.Module)]
+    assert networks
+    assert not any(module.training for network in networks for module in network.modules())
+
+
+def test_gradients_of_every_sample_by_vmap(case, batch):
+    """With vmap over torch.func.grad, as many gradients as samples, each that of the sample alone."""
+    loss = case()
+    params = {name: p.detach() for name, p in loss.named_parameters()}
+
+    def of_one(params: dict[str, Tensor], sample: TensorDict) -> Tensor:
+        with TensorDict(params).unflatten_keys(".").to_module(loss):
+            return total(loss(sample))
+
+    found = torch.func.vmap(torch.func.grad(of_one), (None, 0))(params, batch)
+    for row, sample in enumerate(batch.unbind(0)):
+        loss.zero_grad()
+        total(loss(sample.clone())).backward()
+        for name, gradient in gradients(loss).items():
+            torch.testing.assert_close(found[name][row], gradient)
+
+
+def test_compiled_whole_it_computes_the_same(case, batch):
+    loss, plain = case(), case()
+    compiled = torch.compile(loss, backend="aot_eager", fullgraph=True)
+    found, expected = compiled(batch.clone()), plain(batch.clone())
+    assert_same(found, expected)
+    total(found).backward()
+    total(expected).backward()
+    assert_same(gradients(loss), gradients(plain))
+
+
+def test_wrong_options_say_what_to_do(case):
+    with pytest.raises(ConfigError, match="average"):
+        case(reduction="average")
