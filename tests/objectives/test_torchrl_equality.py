@@ -65,7 +65,8 @@ def pair(
     else:
         theirs = DDPGLoss(theirs_on[0], theirs_on[1][0], delay_actor=True, loss_function=loss_function)
     theirs.make_value_estimator(gamma=GAMMA)
-    followed = SoftUpdate(theirs, tau=tau) if tau < 1 else HardUpdate(theirs, value_network_update_interval=1)
+    # HardUpdate counts the steps between two copies.
+    followed = SoftUpdate(theirs, tau=tau) if tau < 1 else HardUpdate(theirs, value_network_update_interval=0)
     return ours, theirs, StaggeredTargetUpdate(ours, tau=tau, period=1), followed
 
 
