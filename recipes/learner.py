@@ -46,7 +46,12 @@ class Learner:
         self.loss = instantiate(cfg.loss, self.actor, self.critic).to(cfg.device)
         self.loss.make_value_estimator(gamma=cfg.online.gamma)
         self.targets = StaggeredTargetUpdate(self.loss, tau=cfg.online.tau, period=cfg.online.period)
-        self.imitation = PoseBCLoss(self.actor, aux_weight=cfg.pretrain.aux_weight)
+        self.imitation = PoseBCLoss(
+            self.actor,
+            distance=self.loss.distance,
+            aux_weight=cfg.pretrain.aux_weight,
+            goal_distance=self.loss.goal_distance,
+        )
         self.optimizers = {
             "actor": torch.optim.Adam(self.actor.parameters()),
             "critic": torch.optim.Adam(self.critic.parameters()),
