@@ -254,6 +254,17 @@ def test_uniform_weights_change_no_mean(case, batch):
     assert_same(case()(batch), expected)
 
 
+@pytest.mark.parametrize("weighted", [True, False])
+def test_torchrls_own_validity_mask_counts(case, batch, weighted):
+    """Padding of collectors, `("collector", "mask")`, is as if it were not there."""
+    batch = batch if weighted else batch.exclude("priority_weight")
+    expected = losses(case()(batch[:4].clone()))
+    batch["collector", "mask"] = (torch.arange(6) < 4)[:, None]
+    batch["expert_action"][4:] = torch.nan
+    found = losses(case()(batch))
+    assert_same(found, expected)
+
+
 @pytest.mark.parametrize("shape", [(), (1,), (2, 3), (1, 2, 3)])
 def test_any_batch_shape_is_welcome(case, shape):
     loss = case(reduction="none")
