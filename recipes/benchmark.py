@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: python recipes/benchmark.py suite=env|resets|planner|replay|encoder|update."""
+"""Speed as ratios within one run: recipes/benchmark.py suite=env|resets|planner|replay|encoder|update."""
 
 from __future__ import annotations
 
@@ -167,7 +167,8 @@ def benchmark(cfg: DictConfig) -> dict:
         raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")
     settings.check_values(cfg)
     torch.set_num_threads(1)
-    common.prepare_objects(cfg, "train")
+    if cfg.suite in ("env", "resets", "planner"):
+        common.prepare_objects(cfg, "train")
     result = {"suite": cfg.suite, "rows": suites[cfg.suite](cfg)}
     result |= {"hardware": hardware(), "versions": versions()}
     run_dir: Path = make_run_dir("benchmark", root=cfg.output_dir)

@@ -51,11 +51,16 @@ class Learner:
         self.loss = instantiate(cfg.loss, self.actor, self.critic).to(cfg.device)
         self.loss.make_value_estimator(gamma=cfg.online.gamma)
         self.targets = StaggeredTargetUpdate(self.loss, tau=cfg.online.tau, period=cfg.online.period)
-        aux_weight = cfg.pretrain.aux_weight if predicts_goal(self.actor) else 0.0
-        self.imitation = PoseBCLoss(self.actor, aux_weight=aux_weight)
+        self.imitation = PoseBCLoss(
+            self.actor,
+            distance=self.loss.distance,
+            aux_weight=cfg.pretrain.aux_weight if predicts_goal(self.actor) else 0.0,
+            goal_distance=self.loss.goal_distance,
+        )
         self.grasp_prediction: GoalAuxLoss | None = None
         if "goal_network" in self.networks:
-            self.grasp_prediction = GoalAuxLoss(self.networks["goal_network"])
+            distance = self.loss.goal_distance
+            self.grasp_prediction = GoalAuxLoss(self.networks["goal_network"], distance=distance)
             self.grasp_prediction.set_keys(goal_prediction=keys.GOAL)
         self.optimizers = {name: torch.optim.Adam(each.parameters()) for name, each in self.networks.items()}
         self.noise = instantiate(cfg.collector.noise).to(cfg.device)

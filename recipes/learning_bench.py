@@ -75,8 +75,8 @@ def _compare(cfg: DictConfig, what: str, make: Callable) -> list[dict]:
         row["over_batch_norm"] = rows[0]["seconds"] / row["seconds"]
         row["over_plain"] = rows[min(1, len(rows) - 1)]["seconds"] / row["seconds"]
         print(
-            f"{what} {name:26} {1e3 * row['seconds']:8.1f} ms, {row['over_batch_norm']:5.1f} times as fast as "
-            f"plain with BatchNorm, {row['over_plain']:5.1f} as plain; {row['megabytes']:6.0f} MB, "
+            f"{what} {name:26} {1e3 * row['seconds']:8.1f} ms, {row['over_batch_norm']:5.1f} times as fast "
+            f"as plain with BatchNorm, {row['over_plain']:5.1f} as plain; {row['megabytes']:6.0f} MB, "
             f"{row['parameters']:,} weights"
         )
     return rows

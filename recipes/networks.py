@@ -62,7 +62,7 @@ def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) ->
     read = {key for each in networks.values() for key in each.in_keys} - {keys.ACTION}
     if absent := read - set(codec.observation_keys):
         raise ConfigError(
-            f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer does not hold: "
+            f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
             "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "
             "replay=images and transforms=rgbd."
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
@@ -22,6 +22,7 @@ class GraspLoss(LossModule):
     """A LossModule whose optional inputs are masks: a mask that a batch lacks is true everywhere."""
 
     reduction: str
+    _selected: list[NestedKey] | None = None
 
     def __init__(self, *, reduction: str = "mean") -> None:
         super().__init__()
@@ -37,12 +38,29 @@ class GraspLoss(LossModule):
         super().train(mode)
         return self
 
+    @property
+    def out_keys(self) -> list[NestedKey]:
+        """What is written, or the part of it that `select_out_keys` chose."""
+        return self._terms() if self._selected is None else self._selected
+
+    @out_keys.setter
+    def out_keys(self, value: Sequence[NestedKey]) -> None:
+        self._selected = list(value)
+
+    def _terms(self) -> list[NestedKey]:
+        raise NotImplementedError
+
     def _adopt(self, network: Any, name: str, *, with_target: bool = False) -> None:
         """Take over the parameters of a network that reads and writes tensordicts."""
         self.convert_to_functional(network, name, create_target_params=with_target)
 
     def _key(self, name: str) -> Any:
         return getattr(self.tensor_keys, name)
+
+    def _optional_keys(self, *names: str) -> list[NestedKey]:
+        """The keys of these names, and that of the weights where they count."""
+        weights = ["priority_weight"] * (self.use_prioritized_weights is not False)
+        return [self._key(name) for name in (*names, *weights)]
 
     def _read(self, tensordict: TensorDictBase, name: str, remedy: str) -> Tensor:
         """The entry that the key `name` stands for, or an error that says what to do."""
@@ -54,6 +72,13 @@ class GraspLoss(LossModule):
             )
         return value
 
+    def _require(self, tensordict: TensorDictBase, keys: Iterable[NestedKey], remedy: str) -> None:
+        missing = [key for key in keys if tensordict.get(key, None) is None]
+        if missing:
+            raise ConfigError(
+                f"{type(self).__name__} needs {missing} for its networks, which the batch lacks. {remedy}"
+            )
+
     def _mask(self, tensordict: TensorDictBase, name: str) -> Tensor | None:
         mask = tensordict.get(self._key(name), None)
         return None if mask is None else mask.squeeze(-1)
@@ -62,8 +87,9 @@ class GraspLoss(LossModule):
         self, network: TensorDictModuleBase, params: TensorDictParams | TensorDictBase, inputs: TensorDictBase
     ) -> TensorDictBase:
         """What `network` writes with the given parameters; `inputs` stays as it is."""
+        self._require(inputs, network.in_keys, "Add them, or give networks with other in_keys.")
         with params.to_module(network, preserve_module_state=False):
-            return network(inputs.select(*network.in_keys, strict=False))
+            return network(inputs.select(*network.in_keys))
 
     def _writes(self, network: TensorDictModuleBase, name: str) -> bool:
         return unravel_key(self._key(name)) in map(unravel_key, network.out_keys)
@@ -72,12 +98,30 @@ class GraspLoss(LossModule):
         """(*) values to their mean or sum where the mask is true, or to (*) with zeros elsewhere.
 
         Weights of prioritised replay and TorchRL's own validity masks count as in every LossModule.
+        No branch depends on a mask's values, so that vmap and torch.compile can follow.
         """
-        weights = self._maybe_get_priority_weight(tensordict)
-        if mask is not None and (self.reduction == "none" or not mask.any()):
-            values = torch.where(mask, values, 0.0)
-            mask = None
-        return self._reduce_loss(values, tensordict, mask=mask, weights=weights)
+        counted = torch.ones_like(values) if mask is None else mask.to(values.dtype)
+        values = values if mask is None else torch.where(mask, values, 0.0)
+        weights = self._weights(tensordict, values)
+        if self.reduction != "mean":
+            return self._reduce_loss(values, tensordict, weights=weights)
+        total = self._reduce_loss(values, tensordict, reduction="sum", weights=weights)
+        count = self._reduce_loss(counted, tensordict, reduction="sum", weights=weights)
+        return total / torch.where(count > 0, count, 1.0)
+
+    def _weights(self, tensordict: TensorDictBase, values: Tensor) -> Tensor | None:
+        """Weights (*) of prioritised replay; LossModule's own look-up passes nested keys over."""
+        if self.use_prioritized_weights is False:
+            return None
+        weights = tensordict.get(self._key("priority_weight"), None)
+        return None if weights is None else weights.reshape(values.shape)
+
+    def _imitation_term(self, action: Tensor, tensordict: TensorDictBase, distance: Distance) -> Tensor:
+        """L_BC where there is an expert's action."""
+        expert = self._read(tensordict, "expert_action", "train without imitation (bc_weight=0)")
+        mask = self._mask(tensordict, "has_expert")
+        values = distance(stand_in(expert, action, mask), action)
+        return self._reduce(values, tensordict, mask)
 
     def _goal_term(
         self, predicted: Tensor, tensordict: TensorDictBase, distance: Distance, *, success_only: bool
@@ -87,12 +131,26 @@ class GraspLoss(LossModule):
         Several predictions side by side, of a list of critics, each count.
         """
         goal = self._read(tensordict, "goal", "switch the goal term off by aux_weight=0")
-        each = predicted.unflatten(-1, (-1, goal.shape[-1]))
-        values = distance(each, goal.unsqueeze(-2).expand_as(each)).mean(dim=-1)
+        mask = self._mask(tensordict, "has_goal")
+        success = None
         if success_only:
-            success = self._read(tensordict, "episode_success", "leave Eq. (5) out")
-            values = values * success.squeeze(-1).to(values.dtype)
-        return self._reduce(values, tensordict, self._mask(tensordict, "has_goal"))
+            success = self._read(tensordict, "episode_success", "leave Eq. (5) out").squeeze(-1).bool()
+        each = predicted.unflatten(-1, (-1, goal.shape[-1]))
+        goals = goal.unsqueeze(-2).expand_as(each)
+        for condition in (mask, success):
+            goals = stand_in(goals, each, None if condition is None else condition.unsqueeze(-1))
+        values = distance(each, goals).mean(dim=-1)
+        if success is not None:
+            values = torch.where(success, values, 0.0)
+        return self._reduce(values, tensordict, mask)
+
+
+def stand_in(label: Tensor, predicted: Tensor, mask: Tensor | None) -> Tensor:
+    """The (*, D) label where the (*) mask is true, else the prediction, whose distance has no gradient.
+
+    What stands in for an absent label may be NaN, and zero times the gradient at NaN is NaN.
+    """
+    return label if mask is None else torch.where(mask.unsqueeze(-1), label, predicted.detach())
 
 
 def unique_keys(*groups: Iterable[Any]) -> list[NestedKey]:

@@ -7,6 +7,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import action_to_pose, goal_to_pose, gripper_control_points, transform_points
 
 PointNorm = Literal["l1", "l2"]
@@ -24,6 +25,8 @@ def pose_distance(T1: Tensor, T2: Tensor, points: Tensor | None = None, *, norm:
         >>> round(pose_distance(torch.eye(4), shifted).item(), 4)
         0.03
     """
+    if norm not in ("l1", "l2"):
+        raise ConfigError(f"norm={norm!r} is unknown: choose 'l1', the paper's, or 'l2'.")
     if points is None:
         points = gripper_control_points(dtype=T1.dtype, device=T1.device)
     difference = transform_points(T1, points) - transform_points(T2, points)  # (*, M, 3)

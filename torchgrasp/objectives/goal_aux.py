@@ -58,18 +58,16 @@ class GoalAuxLoss(GraspLoss):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """Everything that is read; `has_goal` may be missing."""
+        """Everything that is read; masks and weights may be missing."""
         names = ["goal", "has_goal"] + ["episode_success"] * self.success_only
-        return unique_keys(self.network.in_keys, [self._key(name) for name in names])
+        return unique_keys(self.network.in_keys, self._optional_keys(*names))
 
-    @property
-    def out_keys(self) -> list[NestedKey]:
-        """`loss_aux`."""
+    def _terms(self) -> list[NestedKey]:
         return ["loss_aux"]
 
     @dispatch()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """A batch to its loss."""
+        """A batch to `loss_aux`."""
         written = self._run(self.network, self.network_params, tensordict)
         predicted = self._read(written, "goal_prediction", "give a network that writes it")
         loss = self._goal_term(predicted, tensordict, self.distance, success_only=self.success_only)

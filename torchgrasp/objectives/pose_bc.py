@@ -45,7 +45,6 @@ class PoseBCLoss(GraspLoss):
         goal_prediction: NestedKey = keys.GOAL_PREDICTION
         goal: NestedKey = keys.GOAL
         has_goal: NestedKey = keys.HAS_GOAL
-        episode_success: NestedKey = keys.EPISODE_SUCCESS
         priority_weight: NestedKey = "priority_weight"
 
     default_keys = _AcceptedKeys
@@ -70,22 +69,19 @@ class PoseBCLoss(GraspLoss):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """Everything that is read; the masks may be missing."""
+        """Everything that is read; masks and weights may be missing."""
         names = ["expert_action", "has_expert"] + ["goal", "has_goal"] * (self.aux_weight > 0)
-        return unique_keys(self.actor_network.in_keys, [self._key(name) for name in names])
+        return unique_keys(self.actor_network.in_keys, self._optional_keys(*names))
 
-    @property
-    def out_keys(self) -> list[NestedKey]:
-        """`loss_bc`, and `loss_aux` where it has a weight."""
+    def _terms(self) -> list[NestedKey]:
         return ["loss_bc", "loss_aux"] if self.aux_weight > 0 else ["loss_bc"]
 
     @dispatch()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """A batch to its losses."""
+        """A batch to its losses: `loss_bc`, and `loss_aux` where it has a weight."""
         written = self._run(self.actor_network, self.actor_network_params, tensordict)
-        expert = self._read(tensordict, "expert_action", "train without imitation")
-        values = self.distance(expert, written.get(self._key("action")))
-        losses = {"loss_bc": self._reduce(values, tensordict, self._mask(tensordict, "has_expert"))}
+        bc = self._imitation_term(written.get(self._key("action")), tensordict, self.distance)
+        losses = {"loss_bc": bc}
         if self.aux_weight > 0:
             predicted = self._read(written, "goal_prediction", "set aux_weight=0")
             aux = self._goal_term(predicted, tensordict, self.goal_distance, success_only=False)

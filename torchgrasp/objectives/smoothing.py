@@ -55,6 +55,8 @@ class TargetSmoothing(nn.Module):
                 f"the limits have {self.low.numel()} components and the action {action.shape[-1]}: "
                 "give action_bound or action_spec of the action's size."
             )
+        if self.policy_noise == 0:
+            return action.clamp(self.low, self.high)
         noise = torch.randn(action.shape, generator=self.generator, dtype=action.dtype, device=action.device)
         noise = (self.policy_noise * noise).clamp(-self.noise_clip, self.noise_clip)
         return (action + noise * (self.high - self.low) / 2).clamp(self.low, self.high)

@@ -10,10 +10,9 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictParams, dispatch
-from tensordict.utils import NestedKey
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Bounded
-from torchrl.envs.utils import step_mdp
 from torchrl.objectives import ValueEstimators
 
 from torchgrasp import keys
@@ -78,7 +77,6 @@ class GraspTD3BCLoss(GraspLoss):
         state_action_value: NestedKey = keys.STATE_ACTION_VALUE
         reward: NestedKey = "reward"
         terminated: NestedKey = "terminated"
-        done: NestedKey = "done"
         expert_action: NestedKey = keys.EXPERT_ACTION
         has_expert: NestedKey = keys.HAS_EXPERT
         goal_prediction: NestedKey = keys.GOAL_PREDICTION
@@ -166,7 +164,7 @@ class GraspTD3BCLoss(GraspLoss):
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """Everything that is read; the masks may be missing."""
+        """Everything that is read; masks and weights may be missing."""
         state = unique_keys(self.actor_network.in_keys, self.critic_network.in_keys)
         names = ["action", "perturbed"]
         names += ["expert_action", "has_expert"] * (self.bc_weight > 0)
@@ -174,10 +172,9 @@ class GraspTD3BCLoss(GraspLoss):
             names += ["goal", "has_goal"] + ["episode_success"] * self.hindsight
         ends = [("next", self._key("reward")), ("next", self._key("terminated"))]
         following = [("next", key) for key in state if key != self._key("action")]
-        return unique_keys(state, [self._key(name) for name in names], following, ends)
+        return unique_keys(state, self._optional_keys(*names), following, ends)
 
-    @property
-    def out_keys(self) -> list[NestedKey]:
+    def _terms(self) -> list[NestedKey]:
         """The terms that this configuration has, then figures without gradients."""
         terms = {
             "loss_qvalue": True,
@@ -216,10 +213,7 @@ class GraspTD3BCLoss(GraspLoss):
         action = written.get(self._key("action"))
         out = {}
         if self.bc_weight > 0:
-            expert = self._read(tensordict, "expert_action", "switch imitation off by bc_weight=0")
-            distance = self.distance(expert, action)
-            mask = self._mask(tensordict, "has_expert")
-            out["loss_actor_bc"] = self.bc_weight * self._reduce(distance, tensordict, mask)
+            out["loss_actor_bc"] = self.bc_weight * self._imitation_term(action, tensordict, self.distance)
         if self.bc_weight < 1:
             value = self._first_value(tensordict, action)
             out["loss_actor_ddpg"] = (self.bc_weight - 1) * self._reduce(value, tensordict)
@@ -238,15 +232,26 @@ class GraspTD3BCLoss(GraspLoss):
     @torch.no_grad()
     def _target_value(self, tensordict: TensorDictBase) -> Tensor:
         """Target y of Eq. (3), (*, 1)."""
-        following = step_mdp(tensordict)
-        # Dispatch may have guessed more batch dimensions.
-        following.auto_batch_size_(tensordict.batch_dims)
+        following = self._following(tensordict)
         acted = self._run(self.actor_network, self.target_actor_network_params, following)
         following.set(self._key("action"), self.smoothing(acted.get(self._key("action"))))
         values = self._target_values(following)
         ends = tensordict.get("next")
-        reward, terminated = ends.get(self._key("reward")), ends.get(self._key("terminated"))
+        reward = self._read(ends, "reward", "record transitions with it below 'next'")
+        terminated = self._read(ends, "terminated", "record transitions with it below 'next'")
         return functional.bellman_target(reward, terminated, values, self.gamma)
+
+    def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """The next states; no entry of the present ones stands in for what they lack."""
+        networks = (self.actor_network, self.critic_network)
+        state = [key for key in unique_keys(*(n.in_keys for n in networks)) if key != self._key("action")]
+        self._require(
+            tensordict,
+            [unravel_key(("next", key)) for key in state],
+            "Record them with each transition; what stays the same may be copied there from the root.",
+        )
+        # Dispatch may have guessed more batch dimensions.
+        return tensordict.get("next").select(*state).auto_batch_size_(tensordict.batch_dims)
 
     def _target_values(self, following: TensorDictBase) -> Tensor:
         """(*, Q): the first value from the targets that follow, the others from those copied."""
