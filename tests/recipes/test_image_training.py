@@ -12,7 +12,7 @@ SMALL = [
     "transforms.image.size=32",
 ]
 SHORT = ["total_env_steps=12", "evaluation.baselines=[]", "evaluation.episodes=2"]
-DEPTH = ["transforms.image.channels=dm", "model.channels=2", "+model.encoder.rgb=false"]
+DEPTH = ["transforms.image.channels=dm", "model.channels=2", "model.encoder.rgb=false"]
 COLOUR = ["camera=render"]
 
 
