@@ -67,7 +67,8 @@ class Learner:
         self.expert_start = instantiate(cfg.collector.expert_start)
         self.buffer: MixtureReplayBuffer
         self._codec = make_codec(cfg, self.networks)
-        self._row = make_row(self._codec, shapes)
+        self._augment = instantiate(cfg.replay.augment)
+        self._row = make_row(self._codec, self._augment, shapes)
         self._imitation_rate = cosine_schedule(
             max(1, cfg.pretrain.steps), warmup_steps=min(200, cfg.pretrain.steps // 10)
         )
@@ -109,7 +110,7 @@ class Learner:
             row=self._row,
             priority=priority,
             codec=self._codec,
-            transform=instantiate(cfg.replay.augment),
+            transform=self._augment,
         )
 
     def load_demonstrations(self) -> None:

@@ -9,6 +9,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
 from torchgrasp.data import CompactTransitions
@@ -69,8 +70,13 @@ def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) ->
     return codec
 
 
-def make_row(codec: CompactTransitions, shapes: Mapping[Any, tuple[int, ...]]) -> TensorDictBase:
-    """A stored transition of observations of those shapes: what is observed, the action and its labels."""
+def make_row(
+    codec: CompactTransitions, augment: Transform | None, shapes: Mapping[Any, tuple[int, ...]]
+) -> TensorDictBase:
+    """A stored transition of observations of those shapes: what is observed, the action and its labels.
+
+    Read back and augmented once, so that what cannot be augmented is refused before anything is collected.
+    """
     shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
     if absent := [key for key in codec.observation_keys if key not in shapes]:
         raise ConfigError(
@@ -78,4 +84,6 @@ def make_row(codec: CompactTransitions, shapes: Mapping[Any, tuple[int, ...]]) -
             "transforms=rgb, rgbd or rgbdm with replay=images."
         )
     row = codec.example_row(shapes)
+    if augment is not None:
+        augment(codec(row.copy()))
     return row.select(*codec.observation_keys, keys.ACTION, *default_labels())

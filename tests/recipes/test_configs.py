@@ -63,7 +63,7 @@ def test_every_environment_passes_check_env_specs(composed, meshes, env, objects
 @pytest.mark.parametrize("model", choices("model"))
 @pytest.mark.parametrize("loss", choices("loss"))
 def test_every_learner_builds(composed, experiment, model, loss):
-    chosen = ["transforms=rgbd", "replay=images"] if model == "resnet18" else []
+    chosen = ["transforms=rgbd", "replay=images", "replay.augment=null"] if model == "resnet18" else []
     cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25", *chosen)
     shapes = {"points": (262, 4), "image": (4, 112, 112), "time_left": (1,)}
     learner = Learner(cfg, shapes)

@@ -151,3 +151,6 @@ def test_what_does_not_go_together_is_refused(composed):
     cfg = composed("experiment=smoke", "model.width=0.25", "~transforms.points")
     with pytest.raises(ConfigError, match=r"write no \['points'\]"):
         Learner(cfg, {"time_left": (1,)})
+    images = ["model=resnet18", "model.width=0.25", "transforms=rgbd", "replay=images"]
+    with pytest.raises(ConfigError, match=r"RandomMirror.*replay\.augment"):
+        Learner(composed("experiment=laptop", *images), {"image": (4, 32, 32), "time_left": (1,)})
