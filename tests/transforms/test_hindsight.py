@@ -143,6 +143,7 @@ def test_steps_without_poses_are_refused():
 
 def test_a_mirrored_batch_mirrors_the_next_goal_too():
     goal = torch.tensor([0.1, 0.2, 0.3, 0.5, 0.5, 0.5, 0.5]).expand(64, 7)
-    batch = RandomMirror()(TensorDict({"goal": goal, "next": {"goal": goal}}, [64]))
+    points = torch.ones(64, 5, 3)
+    batch = RandomMirror()(TensorDict({"points": points, "goal": goal, "next": {"goal": goal}}, [64]))
     assert torch.equal(batch["goal"], batch["next", "goal"])
     assert len(batch["goal"].unique(dim=0)) == 4
