@@ -17,7 +17,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
-from torchgrasp.data import MixtureReplayBuffer, estimate_bytes, open_demonstrations
+from torchgrasp.data import MixtureReplayBuffer, Priority, estimate_bytes, open_demonstrations
 from torchgrasp.data.files import find_folder
 from torchgrasp.data.kinds import find_counted, resolve_count
 from torchgrasp.errors import CheckpointError
@@ -98,8 +98,9 @@ class Learner:
         share = cfg.replay.online_fraction
         capacities = {"online": cfg.replay.online_capacity, "expert": opened.card["rows"]}
         self._shares = {"online": share, "expert": 1.0 - share}
-        priority = instantiate(cfg.replay.priority)
-        size = estimate_bytes(sum(capacities.values()), self._row, prioritised=priority is not None)
+        self._priority: Priority | None = instantiate(cfg.replay.priority)
+        prioritised = self._priority is not None
+        size = estimate_bytes(sum(capacities.values()), self._row, prioritised=prioritised)
         print(f"Replay buffer: up to {size / 1e9:.2f} GB for {capacities} transitions")
         self.buffer = MixtureReplayBuffer(
             capacities,
@@ -108,7 +109,7 @@ class Learner:
             seed=cfg.seed,
             folder=cfg.replay.folder,
             row=self._row,
-            priority=priority,
+            priority=self._priority,
             codec=self._codec,
             transform=self._augment,
         )
@@ -175,9 +176,12 @@ class Learner:
         return {f"{name}/{key}": value.item() for key, value in terms.items()}
 
     def set_rates(self, progress: float) -> None:
-        """The piecewise schedule of the online phase (Sec. 6.4); `progress` in [0, 1]."""
+        """The piecewise schedule of the online phase (Sec. 6.4), and beta; `progress` in [0, 1]."""
         for name in self.optimizers:
             self._set_rate(name, self.cfg.online.learning_rate * self._online_rate(round(1000 * progress)))
+        if self._priority is not None:
+            first = self._priority.beta
+            self.buffer.beta = first + progress * (1.0 - first)  # Schaul et al. 2016, Sec. 3.4
 
     def _set_rate(self, name: str, rate: float) -> None:
         for group in self.optimizers[name].param_groups:

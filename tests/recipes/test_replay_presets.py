@@ -1,9 +1,11 @@
 """The choices of conf/replay: what a learner stores and how it draws."""
 
+import collect
 import common
 import pytest
 import torch
 from hydra.utils import instantiate
+from learner import Learner
 from runner import ROOT
 from tensordict import TensorDict
 
@@ -51,3 +53,16 @@ def test_hindsight_goals_are_an_override_away(composed):
     assert isinstance(instantiate(cfg.replay.augment), HindsightGoal)
     # What it reads is handed over by the workers.
     assert "T_base_ee" in common.KEPT
+
+
+def test_the_correction_of_priorities_grows_to_the_full(composed, tmp_path):
+    cfg = composed("experiment=smoke", "replay=prioritised", "demonstrations.steps=12")
+    with common.make_pool(cfg) as pool:
+        collect.collect(cfg, pool, tmp_path / "demos")
+    learner = Learner(cfg, common.observed_shapes(cfg))
+    learner.make_buffer(tmp_path / "demos")
+    found = []
+    for progress in (0.0, 0.5, 1.0):
+        learner.set_rates(progress)
+        found.append(learner.buffer.beta)
+    assert found == pytest.approx([0.4, 0.7, 1.0])

@@ -126,6 +126,15 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
         """Use `shares` from the next batch on (see `anneal_shares`)."""
         self._mixture.set_shares(shares)
 
+    @property
+    def beta(self) -> float:
+        """Exponent of the weights of prioritised draws; set it to anneal it (see `MixtureSampler`)."""
+        return self._mixture.beta
+
+    @beta.setter
+    def beta(self, beta: float) -> None:
+        self._mixture.beta = beta
+
     def num_rows(self) -> dict[str, int]:
         """Transitions that can be drawn, by source."""
         return self._mixture.num_rows()
