@@ -35,6 +35,16 @@ def test_any_batch_shape(make):
 
 
 @pytest.mark.parametrize("make", ENCODERS)
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("batch", [(0,), (2, 0)])
+def test_an_empty_batch(make, norm, batch):
+    encoder = make(4, norm=norm).eval()
+    features = encoder(torch.rand(*batch, 50, 4))
+    assert features.shape == (*batch, encoder.out_features)
+    features.sum().backward()
+
+
+@pytest.mark.parametrize("make", ENCODERS)
 @pytest.mark.parametrize("channels", [3, 4, 10])
 def test_any_channels(make, channels):
     assert make(channels)(_clouds(2, channels=channels)).isfinite().all()
@@ -232,7 +242,10 @@ def test_a_norm_makes_every_group_of_channels_standard():
         (lambda: PointNet2(4, norm="instance"), "norm='instance'"),
         (lambda: PointNet2(4, centres=(32,)), "centres"),
         (lambda: PointNet2(4, neighbours=(0, 16)), "num_neighbours=0"),
-        (lambda: PointNet2(4, start="last")(_clouds(2)), "start='last'"),
+        (lambda: PointNet2(4, start="last"), "start='last'"),
+        (lambda: PointNet(4, hidden=()), "hidden"),
+        (lambda: PointNet(4, 0), "out_features=0"),
+        (lambda: PointNet2(4, norm="batch")(_clouds(2), torch.ones(2, 80).bool()), "norm='batch'"),
         (lambda: PointNet2(4)(_clouds(2, channels=3)), r"\(2, 80, 3\)"),
         (lambda: PointNet(4)(_clouds(2), torch.ones(2, 79).bool()), r"mask \(2, 79\)"),
         (lambda: PlainPointNet2(PointNet2(4, norm="layer")), "LayerNorm"),

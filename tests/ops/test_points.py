@@ -32,6 +32,14 @@ def mask(request, clouds):
     return mask
 
 
+def _spoil(clouds, mask):
+    """The clouds with NaN and infinity where the mask says that there is no point."""
+    if mask is None:
+        return clouds
+    spoilt = torch.tensor([torch.nan, torch.inf, -torch.inf], dtype=clouds.dtype)
+    return torch.where(mask[..., None], clouds, spoilt)
+
+
 def _masks(mask, clouds):
     return [None] * len(clouds) if mask is None else mask
 
@@ -44,7 +52,7 @@ def test_sampling_equals_its_definition(clouds, mask, num, dtype):
         reference.farthest_point_sample(cloud, num, reference.outermost_point(cloud, m), m)
         for cloud, m in zip(clouds, _masks(mask, clouds), strict=True)
     ]
-    found = farthest_point_sample(clouds, num, mask=mask, start="outermost")
+    found = farthest_point_sample(_spoil(clouds, mask), num, mask=mask, start="outermost")
     assert torch.equal(found, torch.stack(expected))
 
 
@@ -53,7 +61,7 @@ def test_sampling_begins_at_the_first_point(clouds, mask):
         reference.farthest_point_sample(cloud, 8, 0 if m is None else int(m.int().argmax()), m)
         for cloud, m in zip(clouds, _masks(mask, clouds), strict=True)
     ]
-    assert torch.equal(farthest_point_sample(clouds, 8, mask=mask), torch.stack(expected))
+    assert torch.equal(farthest_point_sample(_spoil(clouds, mask), 8, mask=mask), torch.stack(expected))
 
 
 def test_a_random_start_is_a_point_and_the_generators():
@@ -90,7 +98,8 @@ def test_ball_query_equals_its_definition(clouds, mask, radius, num, dtype):
         reference.ball_query(p, c, radius, num, m)
         for p, c, m in zip(clouds, centres, _masks(mask, clouds), strict=True)
     ]
-    assert torch.equal(ball_query(clouds, centres, radius, num, mask=mask), torch.stack(expected))
+    found = ball_query(_spoil(clouds, mask), centres, radius, num, mask=mask)
+    assert torch.equal(found, torch.stack(expected))
 
 
 def test_group_equals_its_definition(clouds):
@@ -108,6 +117,12 @@ def test_any_leading_dimensions(clouds):
     assert torch.equal(farthest_point_sample(clouds[0], 4), index[0, 0, 0])
     neighbours = ball_query(nested, nested[..., :1, :], 0.05, 3)
     assert torch.equal(neighbours[1, :, 1], ball_query(clouds, clouds[:, :1], 0.05, 3))
+
+
+def test_no_clouds_at_all():
+    none = torch.empty(0, 5, 3)
+    assert farthest_point_sample(none, 4, start="outermost").shape == (0, 4)
+    assert ball_query(none, none, 0.1, 3).shape == (0, 5, 3)
 
 
 def test_a_centre_is_in_its_own_ball():

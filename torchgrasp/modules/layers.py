@@ -14,7 +14,7 @@ from torchgrasp.errors import ConfigError
 Norm = Literal["none", "layer", "group", "batch"]
 
 # Wu and He 2018 found 16 channels a group to serve as well as 32 groups.
-_GROUP_CHANNELS = 16
+GROUP_CHANNELS = 16
 
 
 def mlp(sizes: Sequence[int], *, norm: Norm = "none", last_activation: bool = False) -> nn.Sequential:
@@ -35,7 +35,7 @@ def norm_layers(norm: Norm, channels: int) -> list[nn.Module]:
     if norm == "layer":
         return [nn.LayerNorm(channels)]
     if norm == "group":
-        sizes = range(min(_GROUP_CHANNELS, channels), channels + 1)
+        sizes = range(min(GROUP_CHANNELS, channels), channels + 1)
         return [RowGroupNorm(channels // next(n for n in sizes if channels % n == 0), channels)]
     if norm == "batch":
         return [nn.BatchNorm1d(channels)]
@@ -64,7 +64,9 @@ def check_channels(in_channels: int) -> None:
         raise ConfigError(f"in_channels={in_channels} has no room for xyz: give 3 or more.")
 
 
-def flatten_clouds(points: Tensor, mask: Tensor | None, in_channels: int) -> tuple[Tensor, Tensor | None]:
+def flatten_clouds(
+    points: Tensor, mask: Tensor | None, in_channels: int, *, rows_are_independent: bool
+) -> tuple[Tensor, Tensor | None]:
     """Clouds (*, N, C) as (B, N, C), their masks (*, N) as (B, N), padding replaced by a point.
 
     Copies of the first point stand where the mask is false, so that nothing in the padding, NaN
@@ -82,6 +84,8 @@ def flatten_clouds(points: Tensor, mask: Tensor | None, in_channels: int) -> tup
         raise ConfigError(
             f"mask {tuple(mask.shape)} {mask.dtype}: give bool of shape {tuple(points.shape[:-1])}."
         )
+    if not rows_are_independent:
+        raise ConfigError("norm='batch' would count the rows that a mask hides: choose another norm.")
     mask = mask.reshape(flat.shape[:-1])
     first = mask.int().argmax(dim=-1)[:, None, None].expand(-1, 1, flat.shape[-1])
     return torch.where(mask[..., None], flat, flat.gather(1, first)), mask

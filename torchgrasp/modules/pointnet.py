@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from torchgrasp.errors import check_range
+from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.modules.layers import Norm, check_channels, flatten_clouds, mlp
 from torchgrasp.modules.pooling import max_over_rows
 
@@ -46,7 +46,10 @@ class PointNet(nn.Module):
         super().__init__()
         check_channels(in_channels)
         check_range("scale", scale, 0.0, float("inf"), open_low=True)
-        check_range("model.width", width, 0.0, float("inf"), open_low=True)
+        check_range("width", width, 0.0, float("inf"), open_low=True)
+        check_whole("out_features", out_features, 1)
+        if not hidden:
+            raise ConfigError("hidden=() names no layer: give widths, such as (64, 128, 256).")
         hidden = [max(1, round(width * size)) for size in hidden]
         out_features = max(1, round(width * out_features))
         self.in_channels = in_channels
@@ -62,7 +65,9 @@ class PointNet(nn.Module):
         A cloud without points is encoded as its first row.
         """
         batch = points.shape[:-2]
-        points, mask = flatten_clouds(points, mask, self.in_channels)
+        points, mask = flatten_clouds(
+            points, mask, self.in_channels, rows_are_independent=self.rows_are_independent
+        )
         xyz = points[..., :3] / self.scale
         rows = torch.cat((xyz, xyz - _centroid(xyz, mask), points[..., 3:]), dim=-1)
         if self.rows_are_independent:

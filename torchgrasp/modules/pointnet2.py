@@ -16,9 +16,9 @@ from torch import Tensor, nn
 
 from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.modules.layers import Norm, check_channels, flatten_clouds, mlp, norm_layers
-from torchgrasp.modules.pooling import every_neighbour, max_over_neighbours, max_over_rows
-from torchgrasp.ops import ball_query, farthest_point_sample
-from torchgrasp.ops.points import Start
+from torchgrasp.modules.pooling import max_over_neighbours, max_over_rows
+from torchgrasp.ops import ball_query, farthest_point_sample, group
+from torchgrasp.ops.points import Start, check_start
 
 
 class SetAbstraction(nn.Module):
@@ -50,6 +50,7 @@ class SetAbstraction(nn.Module):
     ) -> None:
         super().__init__()
         check_range("radius", radius, 0.0, float("inf"), open_low=True)
+        check_start(start)
         check_whole("num_centres", num_centres, 1)
         check_whole("num_neighbours", num_neighbours, 1)
         self.num_centres, self.radius, self.num_neighbours = num_centres, radius, num_neighbours
@@ -72,7 +73,7 @@ class SetAbstraction(nn.Module):
         points, shift = self._first_layer(xyz, features, centres)
         if self.rows_are_independent:
             return centres, max_over_neighbours(self.rest, points, shift, index)
-        rows = every_neighbour(points, shift, index)
+        rows = group(points, index) - shift[:, :, None]
         return centres, self.rest(rows.flatten(0, 2)).unflatten(0, rows.shape[:3]).amax(dim=2)
 
     def _first_layer(self, xyz: Tensor, features: Tensor, centres: Tensor) -> tuple[Tensor, Tensor]:
@@ -131,6 +132,7 @@ class PointNet2(nn.Module):
     ) -> None:
         super().__init__()
         check_channels(in_channels)
+        check_whole("out_features", out_features, 1)
         check_range("scale", scale, 0.0, float("inf"), open_low=True)
         _check_pairs(centres=centres, radii=radii, neighbours=neighbours)
         w = _Widths(width)
@@ -150,7 +152,9 @@ class PointNet2(nn.Module):
         A cloud without points is encoded as its first row.
         """
         batch = points.shape[:-2]
-        points, mask = flatten_clouds(points, mask, self.in_channels)
+        points, mask = flatten_clouds(
+            points, mask, self.in_channels, rows_are_independent=self.rows_are_independent
+        )
         xyz, features = points[..., :3], points[..., 3:]
         for abstraction in self.abstractions:
             xyz, features = abstraction(xyz, features, mask)

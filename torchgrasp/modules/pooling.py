@@ -15,6 +15,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from torchgrasp.ops import group
+
 # Rows per chunk of the pass without a graph: their activations then stay in the processor's cache.
 _CHUNK_ROWS = 2048
 
@@ -40,7 +42,7 @@ def max_over_neighbours(layers: nn.Module, points: Tensor, centres: Tensor, inde
     """
     (clouds, num_centres, k), num_points = index.shape, points.shape[1]
     if not _chooses_rows(points):
-        return layers(every_neighbour(points, centres, index)).amax(dim=2)
+        return layers(group(points, index) - centres[:, :, None]).amax(dim=2)
     first = num_points * torch.arange(clouds, device=index.device)[:, None, None]
     neighbour = (index + first).flatten()
     points, centres = points.flatten(0, 1), centres.flatten(0, 1)
@@ -53,12 +55,6 @@ def max_over_neighbours(layers: nn.Module, points: Tensor, centres: Tensor, inde
     needs_graph = points.requires_grad or centres.requires_grad
     pooled = _max_over_groups(layers, rows, distinct.flatten(0, 1), needs_graph=needs_graph)
     return pooled.unflatten(0, (clouds, num_centres))
-
-
-def every_neighbour(points: Tensor, centres: Tensor, index: Tensor) -> Tensor:
-    """``points[index] - centres``, (B, M, K, C), of (B, N, C), (B, M, C) and (B, M, K)."""
-    flat = index.flatten(1)[..., None].expand(-1, -1, points.shape[-1])
-    return points.gather(1, flat).unflatten(1, index.shape[1:]) - centres[:, :, None]
 
 
 def _chooses_rows(rows: Tensor) -> bool:
@@ -101,7 +97,7 @@ def _winners(layers: nn.Module, rows: Callable[[Tensor], Tensor], counts: Tensor
     groups, k = counts.shape
     step = max(1, _CHUNK_ROWS // k) if counts.device.type == "cpu" else groups
     values, winner = [], []
-    for start in range(0, groups, step):
+    for start in range(0, max(groups, 1), step):  # of no groups, the pass of no rows tells F
         pooled = _pool(layers, rows, counts[start : start + step], start * k)
         values.append(pooled[0])
         winner.append(pooled[1])

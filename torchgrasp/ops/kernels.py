@@ -8,6 +8,8 @@ switched off, so that distances are those of `reference` to the bit.
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
+
 import torch
 import triton
 import triton.language as tl
@@ -21,9 +23,12 @@ def farthest_point_sample(xyz: Tensor, first: Tensor, mask: Tensor | None, num: 
     index = torch.empty((clouds, num), dtype=torch.int64, device=xyz.device)
     first = first.reshape(-1).contiguous()
     block = triton.next_power_of_2(num_points)
-    _farthest[(clouds,)](
-        points, hidden, first, index, num_points, num, mask is not None, BLOCK=block, enable_fp_fusion=False
-    )
+    with _on_device_of(xyz):
+        _farthest[(clouds,)](
+            *(points, hidden, first, index, num_points, num, mask is not None),
+            BLOCK=block,
+            enable_fp_fusion=False,
+        )
     return index.reshape(*xyz.shape[:-2], num)
 
 
@@ -35,12 +40,18 @@ def ball_query(xyz: Tensor, centres: Tensor, mask: Tensor | None, radius: float,
     index = torch.empty((clouds, num_centres, num), dtype=torch.int64, device=xyz.device)
     limit = torch.tensor(radius**2, dtype=torch.float32).item()
     block = triton.next_power_of_2(num_points)
-    _ball[(clouds, num_centres)](
-        *(points, hidden, middle, index, num_points, num_centres, num, limit, mask is not None),
-        BLOCK=block,
-        enable_fp_fusion=False,
-    )
+    with _on_device_of(xyz):
+        _ball[(clouds, num_centres)](
+            *(points, hidden, middle, index, num_points, num_centres, num, limit, mask is not None),
+            BLOCK=block,
+            enable_fp_fusion=False,
+        )
     return index.reshape(*centres.shape[:-1], num)
+
+
+def _on_device_of(xyz: Tensor) -> AbstractContextManager:
+    """Triton launches on the current device, whatever the tensors are on."""
+    return torch.cuda.device(xyz.device) if xyz.is_cuda else nullcontext()
 
 
 def _flat(xyz: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:

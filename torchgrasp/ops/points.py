@@ -49,8 +49,10 @@ def farthest_point_sample(
     """
     _check_cloud(xyz, mask)
     check_whole("num", num, 1)
+    check_start(start)
     with torch.no_grad():
-        return _farthest_op(xyz.detach(), _first(xyz, mask, start, generator), mask, num)
+        xyz = _clear_padding(xyz, mask)
+        return _farthest_op(xyz, _first(xyz, mask, start, generator), mask, num)
 
 
 def ball_query(
@@ -86,7 +88,7 @@ def ball_query(
             f"{xyz.dtype}: give (*, M, 3) of the same leading dimensions and type."
         )
     with torch.no_grad():
-        return _ball_op(xyz.detach(), centres.detach(), mask, float(radius), num)
+        return _ball_op(_clear_padding(xyz, mask), centres.detach(), mask, float(radius), num)
 
 
 def group(features: Tensor, index: Tensor) -> Tensor:
@@ -104,6 +106,12 @@ def group(features: Tensor, index: Tensor) -> Tensor:
     return features.gather(-2, flat).unflatten(-2, index.shape[-2:])
 
 
+def check_start(start: Start) -> None:
+    """Raise ConfigError for an unknown way to begin."""
+    if start not in ("first", "outermost", "random"):
+        raise ConfigError(f"start={start!r} is unknown: choose 'first', 'outermost' or 'random'.")
+
+
 def _check_cloud(xyz: Tensor, mask: Tensor | None) -> None:
     if xyz.ndim < 2 or xyz.shape[-1] != 3 or xyz.shape[-2] == 0 or not xyz.is_floating_point():
         raise ConfigError(
@@ -115,6 +123,11 @@ def _check_cloud(xyz: Tensor, mask: Tensor | None) -> None:
         )
 
 
+def _clear_padding(xyz: Tensor, mask: Tensor | None) -> Tensor:
+    """The points, and zeros for padding, which may hold NaN."""
+    return xyz.detach() if mask is None else torch.where(mask[..., None], xyz.detach(), 0.0)
+
+
 def _first(
     xyz: Tensor, mask: Tensor | None, start: Start, generator: torch.Generator | None
 ) -> Tensor | None:
@@ -123,10 +136,8 @@ def _first(
         return None
     if start == "first":
         rank = -torch.arange(xyz.shape[-2], device=xyz.device).expand(xyz.shape[:-1])
-    elif start == "random":
-        rank = torch.rand(xyz.shape[:-1], generator=generator, device=xyz.device)
     else:
-        raise ConfigError(f"start={start!r} is unknown: choose 'first', 'outermost' or 'random'.")
+        rank = torch.rand(xyz.shape[:-1], generator=generator, device=xyz.device)
     # Padding ranks below every point; of equals argmax takes the first.
     rank = rank if mask is None else rank.masked_fill(~mask, -xyz.shape[-2])
     return rank.argmax(dim=-1)
