@@ -8,7 +8,6 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
-import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
@@ -72,11 +71,6 @@ def make_env(cfg: DictConfig, split: str) -> TransformedEnv:
 
 def observed_shapes(cfg: DictConfig) -> dict[Any, tuple[int, ...]]:
     """Shape of each observation in one world; raises where no environment can be built."""
-    if cfg.get("device", "cpu") != "cpu":
-        try:
-            torch.empty(0, device=cfg.device)
-        except (RuntimeError, AssertionError) as error:
-            raise ConfigError(f"device={cfg.device} cannot be used ({error}): give cpu.") from error
     if "model" in cfg and make_actions(cfg).size != ACTION_SIZE:
         raise ConfigError(
             f"env.action_space={cfg.env.action_space}: the networks of conf/model write relative hand poses;"

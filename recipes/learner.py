@@ -10,7 +10,15 @@ from typing import Any
 
 import torch
 from hydra.utils import instantiate
-from networks import join_policy, make_codec, make_networks, make_row, predicts_goal
+from networks import (
+    check_frozen,
+    join_policy,
+    load_networks,
+    make_codec,
+    make_networks,
+    make_row,
+    predicts_goal,
+)
 from omegaconf import DictConfig
 from origin import check_rows
 from tensordict import TensorDictBase
@@ -20,6 +28,7 @@ from torchgrasp import keys
 from torchgrasp.data import MixtureReplayBuffer, Priority, estimate_bytes, open_demonstrations
 from torchgrasp.data.files import find_folder
 from torchgrasp.data.kinds import find_counted, resolve_count
+from torchgrasp.data.memory import check_space, count_row_bytes
 from torchgrasp.errors import CheckpointError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import (
@@ -47,6 +56,8 @@ class Learner:
         seed_everything(cfg.seed)
         self.cfg = cfg
         self.networks = {name: each.to(cfg.device) for name, each in make_networks(cfg.model).items()}
+        if cfg.resume is None:
+            self._begin_with(cfg)
         self.actor, self.critic = self.networks["actor"], self.networks["critic"]
         self.loss = instantiate(cfg.loss, self.actor, self.critic).to(cfg.device)
         self.loss.make_value_estimator(gamma=cfg.online.gamma)
@@ -69,6 +80,10 @@ class Learner:
         self._codec = make_codec(cfg, self.networks)
         self._augment = instantiate(cfg.replay.augment)
         self._row = make_row(self._codec, self._augment, shapes)
+        self._priority: Priority | None = instantiate(cfg.replay.priority)
+        row_bytes = count_row_bytes(self._row, prioritised=self._priority is not None)
+        rows = cfg.replay.online_capacity + cfg.demonstrations.steps
+        check_space(rows, row_bytes, folder=cfg.replay.folder)  # before hours of collecting
         self._imitation_rate = cosine_schedule(
             max(1, cfg.pretrain.steps), warmup_steps=min(200, cfg.pretrain.steps // 10)
         )
@@ -79,6 +94,13 @@ class Learner:
         self.results: dict = {}
         self._recent: deque[bool] = deque(maxlen=_RECENT_EPISODES)
         self._started, self._earlier_seconds = time.monotonic(), 0.0
+
+    def _begin_with(self, cfg: DictConfig) -> None:
+        """The weights that `init` names."""
+        if cfg.init is None:
+            check_frozen(cfg.model, self.networks)
+        else:
+            load_networks(self.networks, Path(str(cfg.init)))
 
     @property
     def wall_seconds(self) -> float:
@@ -98,7 +120,6 @@ class Learner:
         share = cfg.replay.online_fraction
         capacities = {"online": cfg.replay.online_capacity, "expert": opened.card["rows"]}
         self._shares = {"online": share, "expert": 1.0 - share}
-        self._priority: Priority | None = instantiate(cfg.replay.priority)
         prioritised = self._priority is not None
         size = estimate_bytes(sum(capacities.values()), self._row, prioritised=prioritised)
         print(f"Replay buffer: up to {size / 1e9:.2f} GB for {capacities} transitions")
@@ -224,8 +245,9 @@ class Learner:
         try:
             self._take_up(state)
         except (KeyError, RuntimeError, ValueError) as error:
+            reason = str(error).splitlines()[0][:200]
             raise CheckpointError(
-                f"{run_dir}/checkpoint is of another configuration ({error}): resume it as it was begun."
+                f"{run_dir}/checkpoint is of another configuration ({reason}): resume it as it was begun."
             ) from error
         return True
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from settings import weights_file
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs.transforms import Transform
@@ -14,8 +16,9 @@ from torchrl.envs.transforms import Transform
 from torchgrasp import keys
 from torchgrasp.data import CompactTransitions
 from torchgrasp.data.compact import default_labels
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.geometry import GOAL_SIZE
+from torchgrasp.training import load_weights
 
 
 def reads_goal(network: TensorDictModuleBase) -> bool:
@@ -44,6 +47,27 @@ def make_acting(model: dict[str, Any]) -> dict[str, TensorDictModuleBase]:
             cfg[name].encoder.weights = None
     actor = instantiate(cfg.actor)
     return {"actor": actor} | ({"goal_network": instantiate(cfg.goal_network)} if reads_goal(actor) else {})
+
+
+def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> None:
+    """Give the networks the weights of the same names in a run directory or weights file."""
+    states, _ = load_weights(weights_file(path))
+    try:
+        for name, network in networks.items():
+            network.load_state_dict(states[name])
+    except (KeyError, RuntimeError) as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise CheckpointError(f"{path} holds weights of other networks: {reason}") from error
+
+
+def check_frozen(model: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> None:
+    """Refuse to freeze encoders at their random first weights."""
+    frozen = [name for name in networks if OmegaConf.select(model, f"{name}.freeze_encoder")]
+    if frozen and OmegaConf.select(model, "encoder.weights") is None:
+        raise ConfigError(
+            f"model.{frozen[0]}.freeze_encoder=true would keep random weights: add init=<run directory or "
+            "weights file>, or resume the run that is to be tuned."
+        )
 
 
 def join_policy(networks: dict[str, TensorDictModuleBase]) -> TensorDictModuleBase:

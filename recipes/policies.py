@@ -6,12 +6,11 @@ from pathlib import Path
 
 import common
 from hydra.utils import instantiate
-from networks import join_policy, make_acting
+from networks import join_policy, load_networks, make_acting
 from omegaconf import DictConfig
 from settings import weights_file
 from tensordict.nn import TensorDictModuleBase
 
-from torchgrasp.errors import CheckpointError
 from torchgrasp.planning import OpenLoopPolicy, RandomAction, Relay
 from torchgrasp.training import load_weights
 
@@ -44,13 +43,8 @@ def make_planning(cfg: DictConfig) -> OpenLoopPolicy:
 
 def load_actor(path: Path) -> TensorDictModuleBase:
     """The trained actor of a run directory or weights file, behind its goal network if it reads goals."""
-    states, config = load_weights(weights_file(path))
-    networks = make_acting(config["model"])
-    try:
-        for name, network in networks.items():
-            network.load_state_dict(states[name])
-    except (KeyError, RuntimeError) as error:
-        raise CheckpointError(f"{path} holds weights of another network: {error}") from error
+    networks = make_acting(load_weights(weights_file(path))[1]["model"])
+    load_networks(networks, path)
     return join_policy(networks)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import torch
 import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -35,7 +36,8 @@ _AT_LEAST = {
     "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
     "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
-    "video.episodes": 0, "collector.num_workers": 0, "env.num_envs": 1, "env.horizon": 1,
+    "video.episodes": 0, "collector.num_workers": 0, "env.num_envs": 1, "env.horizon": 1, "num_points": 1,
+    "clouds.batch": 1, "clouds.points": 1, "clouds.repeats": 1, "clouds.threads": 1, "draws": 1,
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard"),
@@ -66,9 +68,21 @@ def check_values(cfg: DictConfig) -> None:
     for name in OmegaConf.select(cfg, "evaluation.baselines") or ():
         if name not in ("expert", "random"):
             raise ConfigError(f"evaluation.baselines names {name!r}: choose from expert and random.")
+    check_device(str(OmegaConf.select(cfg, "device", default="cpu")))
     if "demonstrations" in cfg:
         _check_demonstrations(cfg.demonstrations)
         _check_collector(cfg)
+        if cfg.init is not None and not weights_file(Path(str(cfg.init))).is_file():
+            raise ConfigError(f"init={cfg.init}: give a run directory or a weights file.")
+
+
+def check_device(name: str) -> None:
+    """Refuse a device that torch does not find."""
+    try:
+        torch.empty(0, device=name)
+    except (RuntimeError, AssertionError) as error:
+        message = str(error).splitlines()[0]
+        raise ConfigError(f"device={name} cannot be used ({message}): give cpu.") from error
 
 
 def _check_demonstrations(demonstrations: DictConfig) -> None:
