@@ -1,4 +1,4 @@
-"""Fine-tuning of a trained policy with hindsight goals and frozen encoders, by configuration (Sec. 6.1, 6.3)."""
+"""Fine-tuning of a trained policy with hindsight goals and frozen encoders (Sec. 6.1, 6.3)."""
 
 import pytest
 import td3_bc
