@@ -42,6 +42,15 @@ def test_where_no_error_counts_priorities_are_zero(constant_actor, constant_crit
     assert not batch["td_error"].any()
 
 
+def test_padding_has_the_mean_as_its_priority_too(constant_actor, constant_critic, batch):
+    """Errors 0.21 and 0.21 count; the third sample, of no number, is padding, the fourth perturbed."""
+    batch["collector", "mask"] = torch.tensor([[True], [True], [False], [True]])
+    batch["next", "reward"][2] = torch.nan
+    out = _loss(constant_actor(), constant_critic((0.4, 0.2))).critic_loss(batch)
+    torch.testing.assert_close(batch["td_error"], torch.full((4,), 0.21))
+    assert out["loss_qvalue"].isfinite()
+
+
 def test_an_untrained_transition_does_not_crowd_out_the_others(constant_actor, constant_critic, batch):
     """However wrong the critic is of a perturbed transition, its priority is an ordinary one."""
     batch["next", "reward"][3] = 1000.0
