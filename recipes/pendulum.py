@@ -102,7 +102,8 @@ def train(cfg: DictConfig, seed: int) -> dict[str, float]:
     targets = StaggeredTargetUpdate(loss, tau=cfg.tau, period=cfg.period)
     params = (loss.critic_network_params, loss.actor_network_params)
     adam_critic, adam_actor = (torch.optim.Adam(p.parameters(), lr=cfg.learning_rate) for p in params)
-    rate = step_schedule([round(m * cfg.online_steps) for m in cfg.milestones], gamma=cfg.decay)
+    milestones = dict.fromkeys(round(m * cfg.online_steps) for m in cfg.milestones)  # may round to one
+    rate = step_schedule([*milestones], gamma=cfg.decay)
     schedulers = [LambdaLR(adam, rate) for adam in (adam_critic, adam_actor)]
     buffer = make_buffer(cfg)
     before, started = mean_return(env, actor, cfg), time.monotonic()
@@ -139,7 +140,7 @@ def main(cfg: DictConfig) -> None:
     """Learn from each seed, and print and write the table."""
     rows = {}
     print("seed  return before  return after  seconds")
-    for seed in cfg.seeds:
+    for seed in [cfg.seeds] if isinstance(cfg.seeds, int) else cfg.seeds:
         rows[seed] = row = train(cfg, seed)
         print(f"{seed:4d}  {row['before']:13.0f}  {row['after']:12.0f}  {row['seconds']:7.0f}", flush=True)
     path = make_run_dir("pendulum", root=cfg.output_dir) / "pendulum.json"

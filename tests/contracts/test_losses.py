@@ -16,6 +16,9 @@ from torchrl.objectives import LossModule
 
 import torchgrasp.objectives as library
 from torchgrasp.errors import ConfigError
+from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss
+
+MASKS = ("has_expert", "has_goal", "episode_success", "perturbed", ("next", "terminated"))
 
 
 @pytest.fixture(params=CASES, ids=lambda case: case.kind.__name__)
@@ -222,6 +225,55 @@ def test_moves_reach_every_tensor(case, batch):
     found = loss(double)
     assert {value.dtype for value in found.values()} == {torch.float64}
     assert_same(found.float(), case()(batch))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+def test_networks_of_any_precision_meet_labels_of_float32(case, batch, dtype):
+    """What the networks read has their type; labels, rewards and weights stay as they were recorded."""
+    expected = case()(batch.clone())
+    loss = case().to(dtype)
+    for key in ("observation", "action", ("next", "observation")):
+        batch[key] = batch[key].to(dtype)
+    out = loss(batch)
+    tolerance = 0.05 if dtype == torch.bfloat16 else 1e-5
+    for key, value in out.items():
+        assert not key.startswith("loss_") or value.dtype in (torch.float32, torch.float64)
+        torch.testing.assert_close(value, expected[key], rtol=tolerance, atol=tolerance, check_dtype=False)
+    total(out).backward()
+    assert {gradient.dtype for gradient in gradients(loss).values()} == {dtype}
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int64, torch.float32])
+def test_masks_of_any_type_are_true_where_they_are_not_zero(case, batch, dtype):
+    expected = case()(batch.clone())
+    for key in MASKS:
+        batch[key] = 2 * batch[key].to(dtype)
+    assert_same(case()(batch), expected)
+
+
+def test_a_shape_that_would_broadcast_is_refused(case, batch):
+    """Of rewards, ends and masks: (B,) beside (B, 1) would make (B, B)."""
+    reads = {key for key in case().in_keys if key in (*MASKS, ("next", "reward"))}
+    assert reads
+    for key in reads:
+        for wrong in (batch[key].squeeze(-1), batch[key].expand(6, 2)):
+            name = key[-1] if isinstance(key, tuple) else key
+            with pytest.raises(ConfigError, match=rf"'{name}' has the shape .* give \(6, 1\)"):
+                case()(batch.clone().set(key, wrong))
+
+
+@pytest.mark.parametrize("name", ["action", "state_action_value", "goal_prediction"])
+def test_a_network_that_writes_other_keys_is_told_apart(name):
+    """Wherever an output is absent, the error names it and set_keys."""
+    outputs = {GoalAuxLoss: {"goal_prediction"}, PoseBCLoss: {"action", "goal_prediction"}}
+    for case in CASES:
+        if name in outputs.get(case.kind, {"state_action_value"}):
+            loss = case()
+            loss.set_keys(**{name: "elsewhere"})
+            batch = make_batch(6)
+            batch["elsewhere"] = batch["action"]
+            with pytest.raises(ConfigError, match=rf"'elsewhere', which its network .* set_keys\({name}="):
+                loss(batch)
 
 
 def test_modes_reach_the_networks(case):

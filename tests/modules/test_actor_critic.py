@@ -151,6 +151,30 @@ def test_early_fusion_joins_the_action_in_units_of_its_bound(dim, shape):
             torch.testing.assert_close(everywhere, torch.full_like(everywhere, value))
 
 
+@pytest.mark.parametrize("fusion", ["early", "late"])
+def test_bytes_are_no_image(fusion):
+    encoder = partial(ResNet18, width=0.25)
+    critic = GraspCritic(encoder, in_channels=3, fusion=fusion, in_keys=[*IMAGE, "action"])
+    seen = _batch(2).set("image", torch.ones(2, 3, 32, 32, dtype=torch.uint8))
+    with pytest.raises(ConfigError, match="colours in"):
+        critic(seen)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.bfloat16])
+@pytest.mark.parametrize("encoder", [SMALL, partial(PointNet2, width=0.1)])
+def test_a_network_of_any_precision_takes_float32(encoder, dtype):
+    batch = _batch(3).set("goal", torch.zeros(3, 7))
+    networks = (
+        GoalPredictor(encoder),
+        GraspActor(encoder, goal_input=True),
+        GraspCritic(encoder),
+        GraspCritic(encoder, fusion="late"),
+    )
+    for network in networks:
+        seen = network.to(dtype)(batch.clone())
+        assert {seen[key].dtype for key in network.out_keys} == {dtype}
+
+
 def test_dispatch():
     action, goal = GraspActor(SMALL)(points=torch.rand(2, 9, 4), time_left=torch.ones(2, 1))
     assert action.shape == (2, 6)
@@ -203,6 +227,8 @@ def test_state_dict_round_trip():
         (lambda: GraspCritic(SMALL, in_keys=["points", "time_left"]), "the action"),
         (lambda: GraspActor(lambda channels: nn.Identity()), "out_features"),
         (lambda: GraspActor(SMALL, action_bound=[0.1, -1.0]), "action_bound"),
+        (lambda: GraspActor(SMALL, action_bound=2.0), "action_bound=2.0"),
+        (lambda: GraspActor(SMALL, action_bound=[float("inf")]), "finite"),
         (lambda: GraspCritic(SMALL, fusion="middle"), "fusion"),
         (lambda: GraspCritic(SMALL, num_q=0), "num_q"),
     ],

@@ -76,3 +76,5 @@ def test_wrong_options_are_refused():
         DecayingUniformNoise(-1)
     with pytest.raises(ConfigError, match="component"):
         DecayingUniformNoise(1, start=[0.1])
+    with pytest.raises(ConfigError, match=r"action_bound=2\.0"):
+        DecayingUniformNoise(1, action_bound=2.0)

@@ -59,6 +59,17 @@ def test_encoders_stay_and_heads_learn(kind):
                 assert not torch.equal(value, old[name]), name
 
 
+@pytest.mark.parametrize("make", [GraspActor, lambda e, **k: GraspCritic(e, fusion="late", **k)])
+def test_freezing_a_module_leaves_its_other_owners_alone(make):
+    encoder = CLOUD(4)
+    open_actor = GraspActor(encoder)
+    frozen = make(encoder, freeze_encoder=True)
+    assert all(p.requires_grad for p in open_actor.parameters()) and encoder.training
+    assert not any(p.requires_grad for p in frozen.module.encoder.parameters())
+    for own, copied in zip(encoder.parameters(), frozen.module.encoder.parameters(), strict=True):
+        assert torch.equal(own, copied) and own is not copied
+
+
 def test_training_mode_passes_a_frozen_encoder_by():
     actor, critic = make_networks("image")
     loss = GraspTD3BCLoss(actor, critic)

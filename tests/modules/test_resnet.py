@@ -171,6 +171,20 @@ def test_wrong_options_are_refused(wrong, message):
         wrong()
 
 
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        (torch.rand(2, 1, 32, 32), "encoder of 3 channels"),
+        (torch.rand(2, 32, 32, 3), "encoder of 3 channels"),
+        (torch.rand(32, 32), "encoder of 3 channels"),
+        (torch.ones(2, 3, 32, 32, dtype=torch.uint8), "divided by 255"),
+    ],
+)
+def test_wrong_images_are_refused(images, message):
+    with pytest.raises(ConfigError, match=message):
+        NARROW()(images)
+
+
 def test_wrong_files_are_refused(tmp_path):
     with pytest.raises(CheckpointError, match="no weights file"):
         ResNet18(weights=tmp_path / "absent.safetensors")

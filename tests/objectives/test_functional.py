@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import make_pose
 from torchgrasp.objectives.functional import (
     action_distance,
@@ -71,6 +72,27 @@ def test_gradients_lead_downhill():
     before.backward()
     assert guess.grad is not None
     assert goal_distance(goal, guess - 0.01 * guess.grad) < before
+
+
+@pytest.mark.parametrize(("distance", "size"), [(action_distance, 6), (goal_distance, 7)])
+def test_vectors_of_another_size_are_refused(distance, size):
+    for shapes in (((2, size), (2, 1)), ((2, 3), (2, size)), ((2, size + 1),) * 2):
+        with pytest.raises(ConfigError, match="distance="):
+            distance(*map(torch.zeros, shapes))
+
+
+def test_a_label_keeps_its_digits_beside_a_coarse_prediction():
+    """0.0301 m is 0.0300 m in bfloat16: the distance to 0 is that of the label in full."""
+    label = torch.tensor([0.0301, 0, 0, 0, 0, 0])
+    found = action_distance(label, torch.zeros(6, dtype=torch.bfloat16))
+    assert found.dtype == torch.float32
+    assert found.item() == pytest.approx(0.0301, rel=1e-4)
+
+
+def test_weighted_mean():
+    """(1 * 2 + 3 * 6) / (1 + 3), the masked value of weight 5 left out."""
+    values, weights = torch.tensor([2.0, 6.0, torch.nan]), torch.tensor([1.0, 3.0, 5.0])
+    assert masked_mean(values, torch.tensor([True, True, False]), weights).item() == 5.0
 
 
 def test_masked_mean():

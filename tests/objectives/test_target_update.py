@@ -109,6 +109,6 @@ def test_wrong_use_says_what_to_do(constant_actor, constant_critic):
     with pytest.raises(ConfigError, match="PoseBCLoss"):
         StaggeredTargetUpdate(PoseBCLoss(constant_actor()))
     loss = GraspTD3BCLoss(constant_actor(), constant_critic())
-    for wrong in ({"tau": 1.5}, {"period": 0}):
+    for wrong in ({"tau": 1.5}, {"period": 0}, {"period": 2.5}):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             StaggeredTargetUpdate(loss, **wrong)

@@ -31,8 +31,31 @@ def test_critic_terms_by_hand(constant_actor, constant_critic, batch):
     bellman = (2 * (0.21**2 + 0.01**2) + 0.6**2 + 0.8**2) / 2 / 3
     assert out["loss_qvalue"].item() == pytest.approx(bellman)
     assert out["loss_critic_aux"].item() == pytest.approx(0.04)
-    torch.testing.assert_close(batch["td_error"], torch.tensor([0.21, 0.21, 0.8, 0.21]))
-    assert out["td_error"].item() == pytest.approx((0.21 + 0.21 + 0.8) / 3)
+    mean = (0.21 + 0.21 + 0.8) / 3
+    torch.testing.assert_close(batch["td_error"], torch.tensor([0.21, 0.21, 0.8, mean]))
+    assert out["td_error"].item() == pytest.approx(mean)
+
+
+def test_where_no_error_counts_priorities_are_zero(constant_actor, constant_critic, batch):
+    batch["perturbed"] = torch.ones(4, 1, dtype=torch.bool)
+    _loss(constant_actor(), constant_critic((0.4, 0.2))).critic_loss(batch)
+    assert not batch["td_error"].any()
+
+
+def test_padding_has_the_mean_as_its_priority_too(constant_actor, constant_critic, batch):
+    """Errors 0.21 and 0.21 count; the third sample, of no number, is padding, the fourth perturbed."""
+    batch["collector", "mask"] = torch.tensor([[True], [True], [False], [True]])
+    batch["next", "reward"][2] = torch.nan
+    out = _loss(constant_actor(), constant_critic((0.4, 0.2))).critic_loss(batch)
+    torch.testing.assert_close(batch["td_error"], torch.full((4,), 0.21))
+    assert out["loss_qvalue"].isfinite()
+
+
+def test_an_untrained_transition_does_not_crowd_out_the_others(constant_actor, constant_critic, batch):
+    """However wrong the critic is of a perturbed transition, its priority is an ordinary one."""
+    batch["next", "reward"][3] = 1000.0
+    _loss(constant_actor(), constant_critic((0.4, 0.2))).critic_loss(batch)
+    assert batch["td_error"].max().item() == pytest.approx(0.8)
 
 
 def test_actor_terms_by_hand(constant_actor, constant_critic, batch):
@@ -64,16 +87,43 @@ def test_gamma(constant_actor, constant_critic, batch):
     loss = _loss(constant_actor(), constant_critic((1.0, 1.0)))
     assert loss.make_value_estimator(gamma=0.5) is loss
     assert loss.critic_loss(batch)["target_value"].item() == pytest.approx((3 * 0.5 + 1) / 4)
-    assert loss.state_dict()["gamma"].item() == 0.5
     with pytest.raises(ConfigError, match="TD0"):
         loss.make_value_estimator(ValueEstimators.GAE)
 
 
-def _grasp_networks():
-    def encoder(channels):
-        return PointNet(channels, 8, hidden=(8,))
+def test_a_checkpoint_leaves_the_configuration_alone(constant_actor, constant_critic, batch):
+    """Saved with gamma 0.95 and limits of 1, loaded where gamma is 0.5 and the limits are 2."""
+    saved = _loss(constant_actor(), constant_critic(), action_bound=[1.0] * 6)
+    loss = _loss(constant_actor(), constant_critic((1.0, 1.0)), action_bound=[2.0] * 6)
+    loss.make_value_estimator(gamma=0.5)
+    loss.load_state_dict(saved.state_dict())
+    assert loss.gamma == 0.5
+    assert loss.smoothing.high.tolist() == [2.0] * 6
+    assert loss.to(torch.bfloat16).make_value_estimator(gamma=0.95).gamma == 0.95
+    assert loss.to(torch.float64).smoothing.low.dtype == torch.float64
 
-    return GraspActor(encoder, hidden=8), GraspCritic(encoder, hidden=8)
+
+def _encoder(channels):
+    return PointNet(channels, 8, hidden=(8,))
+
+
+def _grasp_networks():
+    return GraspActor(_encoder, hidden=8), GraspCritic(_encoder, hidden=8)
+
+
+@pytest.mark.parametrize("fusion", ["early", "late"])
+@pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float64])
+def test_networks_of_any_precision_take_the_batch_as_it_is(batch, dtype, fusion):
+    """Clouds, labels and rewards stay in float32; only the networks' own precision limits the terms."""
+    torch.manual_seed(0)
+    networks = GraspActor(_encoder, hidden=8), GraspCritic(_encoder, hidden=8, fusion=fusion)
+    loss, batch = _loss(*networks, policy_noise=0.0), _grasp_batch(batch)
+    expected = loss(batch.clone())
+    found = loss.to(dtype)(batch)
+    sum(value for key, value in found.items() if key.startswith("loss_")).backward()
+    assert {p.grad.dtype for p in loss.parameters() if p.grad is not None} == {dtype}
+    for key, value in found.items():
+        torch.testing.assert_close(value, expected[key], rtol=0.05, atol=0.01, check_dtype=False)
 
 
 def _grasp_batch(batch):
@@ -295,5 +345,15 @@ def test_wrong_use_says_what_to_do(constant_actor, constant_critic, batch):
         GraspTD3BCLoss(constant_actor(), constant_critic(), action_spec=object())
     with pytest.raises(ConfigError, match="bc_weight=0"):
         _loss(constant_actor(), constant_critic()).actor_loss(batch.exclude("expert_action"))
+    for wrong in (2.0, [0.1, float("inf")], [], [-1.0]):
+        with pytest.raises(ConfigError, match=r"action_bound=.* such as \[2\.0\]"):
+            GraspTD3BCLoss(constant_actor(), constant_critic(), action_bound=wrong)
+    with pytest.raises(ConfigError, match="finite"):
+        spec = Bounded(torch.tensor([-1.0, -torch.inf]), torch.ones(2), (2,))
+        GraspTD3BCLoss(constant_actor(), constant_critic(), action_spec=spec)
+    other = TensorDictModule(constant_actor(goal=None).module, ["time_left"], ["pi"])
+    for side in ("actor_loss", "critic_loss"):
+        with pytest.raises(ConfigError, match=r"'action', which its network .* set_keys\(action="):
+            getattr(_loss(other, constant_critic()), side)(batch)
     with pytest.raises(ConfigError, match="3 components and the action 6"):
         _loss(constant_actor(), constant_critic(), action_bound=[1.0] * 3).critic_loss(batch)

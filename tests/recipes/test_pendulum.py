@@ -3,6 +3,7 @@
 import math
 
 import pendulum
+import pytest
 
 SHORT = [
     "online_steps=4",
@@ -22,8 +23,16 @@ def test_a_seed_fixes_the_result(composed):
     assert math.isfinite(first["after"]) and first["after"] < 0
 
 
-def test_it_writes_its_table(run_recipe, tmp_path):
-    code, out, err = run_recipe("pendulum", *SHORT, "seeds=[3]")
+def test_milestones_of_a_tiny_run_may_fall_together(composed):
+    """0.7 and 0.9 of one step are both step 1."""
+    cfg = composed(*SHORT, "online_steps=1", recipe="pendulum")
+    assert math.isfinite(pendulum.train(cfg, 0)["after"])
+
+
+@pytest.mark.parametrize("seeds", ["[3]", "3"])
+def test_it_writes_its_table(run_recipe, tmp_path, seeds):
+    code, out, err = run_recipe("pendulum", *SHORT, f"seeds={seeds}")
     assert code == 0, err
+    assert [line.split()[0] for line in out.splitlines()[:2]] == ["seed", "3"]
     assert out.splitlines()[0].split() == ["seed", "return", "before", "return", "after", "seconds"]
     assert list(tmp_path.glob("pendulum/*/pendulum.json"))

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch.optim.lr_scheduler import LambdaLR
 
+from torchgrasp.errors import ConfigError
 from torchgrasp.training import cosine_schedule, step_schedule
 
 SCHEDULES = [
@@ -66,3 +67,17 @@ def test_groups_keep_their_own_rates():
     optimizer.step()
     scheduler.step()
     assert scheduler.get_last_lr() == pytest.approx([0.2, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"milestones": [5, 3]}, r"^milestones=\[5, 3\] must increase"),
+        ({"milestones": [3, 3]}, "^milestones"),
+        ({"milestones": [3], "gamma": 0.0}, "^gamma=0.0"),
+        ({"milestones": [3], "gamma": float("nan")}, "^gamma=nan"),
+    ],
+)
+def test_an_error_names_the_one_value_that_is_wrong(options, message):
+    with pytest.raises(ConfigError, match=message):
+        step_schedule(**options)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import torch
 from tensordict.nn import TensorDictModule
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
@@ -40,12 +39,14 @@ class GraspActor(TensorDictModule):
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does;
             zeros say that there is none.
         goal_prediction: whether the actor predicts the goal.
-        freeze_encoder: keep the encoder as it is (Sec. 6.3: fine-tuning with hindsight goals).
+        freeze_encoder: keep the encoder as it is (Sec. 6.3: fine-tuning with hindsight goals). A module
+            is copied, so that freezing stays here.
         in_keys: the encoder's input and time left.
         goal_key: what `goal_input` adds to `in_keys`.
         out_keys: the action, then the goal prediction where there is one.
 
     Example:
+        >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchgrasp.modules import PointNet
         >>> actor = GraspActor(PointNet)
@@ -70,7 +71,7 @@ class GraspActor(TensorDictModule):
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
         written = choose_out_keys(out_keys, "the action", predicts_goal=goal_prediction)
-        built, size = build_encoder(encoder, in_channels)
+        built, size = build_encoder(encoder, in_channels, freeze=freeze_encoder)
         network = _ActorNetwork(
             built,
             size + 1 + goal_input * GOAL_SIZE,
@@ -106,6 +107,6 @@ class _ActorNetwork(EncoderNetwork):
         self.register_buffer("bound", bound)
 
     def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
-        feature = torch.cat((self.encoder(observed), *vectors), dim=-1)
+        feature = self.encode(observed, *vectors, dtype=self.bound.dtype)
         action = self.bound * self.action_head(feature).tanh()
         return action if self.goal_head is None else (action, self.goal_head(feature))

@@ -48,7 +48,7 @@ class GraspCritic(TensorDictModule):
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does.
         goal_prediction: whether the critic predicts the goal.
         freeze_encoder: keep the encoder as it is; under early fusion gradients still pass through it
-            to the action.
+            to the action. A module is copied, as for GraspActor.
         in_keys: the encoder's input, time left and the action.
         goal_key: what `goal_input` adds to `in_keys`, before the action.
         out_keys: the values, then the goal prediction where there is one.
@@ -87,7 +87,7 @@ class GraspCritic(TensorDictModule):
         written = choose_out_keys(out_keys, "the values", predicts_goal=goal_prediction)
         bound = bound_tensor(action_bound)
         early = fusion == "early"
-        built, size = build_encoder(encoder, in_channels + early * len(bound))
+        built, size = build_encoder(encoder, in_channels + early * len(bound), freeze=freeze_encoder)
         size += 1 + goal_input * GOAL_SIZE + (not early) * len(bound)
         network = _CriticNetwork(
             built,
@@ -131,8 +131,8 @@ class _CriticNetwork(EncoderNetwork):
         action, vectors = vectors[-1] / self.bound, vectors[:-1]
         if self.early:
             observed = join_channels(observed, action, self.channel_dim)
-            feature = torch.cat((self.encoder(observed), *vectors), dim=-1)
         else:
-            feature = torch.cat((self.encoder(observed), *vectors, action), dim=-1)
+            vectors = (*vectors, action)
+        feature = self.encode(observed, *vectors, dtype=self.bound.dtype)
         values = torch.cat([value_head(feature) for value_head in self.value_heads], dim=-1)
         return values if self.goal_head is None else (values, self.goal_head(feature))

@@ -73,9 +73,10 @@ class DecayingUniformNoise(TensorDictModuleBase):
             raise ConfigError(
                 f"annealing_steps={annealing_steps} is negative: 0 starts with the final range."
             )
-        if not len(start) == len(end) == len(action_bound):
+        bound = bound_tensor(action_bound)
+        if not len(start) == len(end) == len(bound):
             raise ConfigError(
-                f"start, end and action_bound have {len(start)}, {len(end)} and {len(action_bound)} numbers: "
+                f"start, end and action_bound have {len(start)}, {len(end)} and {len(bound)} numbers: "
                 "give each one a component of the action."
             )
         self.in_keys = [action_key]  # pyright: ignore[reportAttributeAccessIssue]
@@ -84,7 +85,7 @@ class DecayingUniformNoise(TensorDictModuleBase):
         self.annealing_steps = annealing_steps
         self.register_buffer("start", torch.tensor(tuple(start)))
         self.register_buffer("end", torch.tensor(tuple(end)))
-        self.register_buffer("bound", bound_tensor(action_bound))
+        self.register_buffer("bound", bound)
         self.register_buffer("steps", torch.zeros((), dtype=torch.long))
         self._generators = MomentGenerators(seed, purpose="DecayingUniformNoise")
 

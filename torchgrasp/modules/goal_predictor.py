@@ -57,7 +57,8 @@ class _GoalNetwork(EncoderNetwork):
         self.goal_head = GoalHead(feature_size, hidden)
 
     def forward(self, observed: Tensor, time_left: Tensor) -> Tensor:
-        goal = self.goal_head(torch.cat((self.encoder(observed), time_left), dim=-1))
+        feature = self.encode(observed, time_left, dtype=self.goal_head.dtype)
+        goal = self.goal_head(feature)
         # q and -q are one rotation, but not one input: the labels that actors learn from have w >= 0.
-        sign = torch.where(goal[..., -1:] < 0, -1.0, 1.0)
-        return torch.cat((goal[..., :3], sign * goal[..., 3:]), dim=-1)
+        quaternion = torch.where(goal[..., -1:] < 0, -goal[..., 3:], goal[..., 3:])
+        return torch.cat((goal[..., :3], quaternion), dim=-1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 
 import torch
 from tensordict.utils import NestedKey
@@ -36,10 +37,27 @@ class EncoderNetwork(nn.Module):
             self.encoder.eval()
         return self
 
+    def encode(self, observed: Tensor, *vectors: Tensor, dtype: torch.dtype) -> Tensor:
+        """The feature (*, F) of what is observed with vectors (*, D) beside it.
 
-def build_encoder(encoder: Encoder, in_channels: int) -> tuple[nn.Module, int]:
-    """The encoder for inputs of `in_channels`, and the size of its feature, its `out_features`."""
-    built = encoder if isinstance(encoder, nn.Module) else encoder(in_channels)
+        `dtype` is that of the network's weights, which is asked of one of them: in a loss, `parameters`
+        finds none.
+        """
+        if observed.is_floating_point():
+            observed = observed.to(dtype)
+        feature = self.encoder(observed)
+        return torch.cat((feature, *(vector.to(feature.dtype) for vector in vectors)), dim=-1)
+
+
+def build_encoder(encoder: Encoder, in_channels: int, *, freeze: bool = False) -> tuple[nn.Module, int]:
+    """The encoder for inputs of `in_channels`, and the size of its feature, its `out_features`.
+
+    A module is taken as it is, or copied to `freeze` it: its other owners go on training theirs.
+    """
+    if isinstance(encoder, nn.Module):
+        built = deepcopy(encoder) if freeze else encoder
+    else:
+        built = encoder(in_channels)
     size = getattr(built, "out_features", None)
     if not isinstance(size, int):
         raise ConfigError(
@@ -62,12 +80,18 @@ def join_channels(inputs: Tensor, vector: Tensor, dim: int) -> Tensor:
         vector: (*, A).
         dim: where `inputs` have their channels, counted from the end.
     """
+    if not inputs.is_floating_point():
+        raise ConfigError(
+            f"inputs of type {inputs.dtype} cannot take the action beside them: give floating point, "
+            "colours in [0, 1] (CameraImage makes them of bytes)."
+        )
     size = vector.shape[-1]
     inner = [1] * (inputs.ndim - vector.ndim + 1)
     inner[dim] = size
     shape = list(inputs.shape)
     shape[dim] = size
-    return torch.cat((inputs, vector.reshape(*vector.shape[:-1], *inner).expand(shape)), dim=dim)
+    joined = vector.to(inputs.dtype).reshape(*vector.shape[:-1], *inner).expand(shape)
+    return torch.cat((inputs, joined), dim=dim)
 
 
 def check_keys(name: str, given: Sequence[NestedKey], meaning: Sequence[str]) -> list[NestedKey]:
@@ -89,10 +113,12 @@ def choose_out_keys(given: Sequence[NestedKey], first: str, *, predicts_goal: bo
 
 def bound_tensor(action_bound: Sequence[float]) -> Tensor:
     """The largest magnitude of each action component as a (A,) float32 tensor, checked."""
-    bound = torch.as_tensor(tuple(action_bound), dtype=torch.float32)
-    if bound.ndim != 1 or len(bound) == 0 or not (bound > 0).all():
+    numbers = tuple(action_bound) if isinstance(action_bound, Iterable) else ()
+    bound = torch.as_tensor(numbers, dtype=torch.float32)
+    if bound.ndim != 1 or len(bound) == 0 or not ((bound > 0) & bound.isfinite()).all():
         raise ConfigError(
-            f"action_bound={action_bound} must be a sequence of positive numbers, one a component."
+            f"action_bound={action_bound} must be a sequence of positive, finite numbers, one a component, "
+            "such as [2.0] of one."
         )
     return bound
 
@@ -116,6 +142,13 @@ class GoalHead(nn.Module):
         last = self.layers[-1]
         assert isinstance(last, nn.Linear)
         last.bias.data[-1] = 1.0
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """The type of its weights."""
+        first = self.layers[0]
+        assert isinstance(first, nn.Linear)
+        return first.weight.dtype
 
     def forward(self, feature: Tensor) -> Tensor:
         """(*, F) features to (*, 7) goals."""

@@ -16,13 +16,12 @@ from torch.nn import functional
 
 from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.modules.image_weights import load_image_weights
+from torchgrasp.modules.layers import GROUP_CHANNELS
 
 ImageNorm = Literal["group", "batch", "frozen"]
 
 # Mean and standard deviation of ImageNet's colours, which public weights expect to be taken off.
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-# Wu & He 2018, table 3: 16 channels a group do as well as a fixed number of groups, and fit any width.
-_GROUP = 16
 
 
 class ResNet18(nn.Module):
@@ -70,7 +69,7 @@ class ResNet18(nn.Module):
                 f"in_channels={in_channels} has no room for red, green and blue: give 3 or more, or "
                 "rgb=False for depth and mask alone."
             )
-        base = _GROUP * max(1, round(64 * width / _GROUP))
+        base = GROUP_CHANNELS * max(1, round(64 * width / GROUP_CHANNELS))
         self.in_channels, self.out_features, self.norm = in_channels, 8 * base, norm
         self.conv1 = _convolution(in_channels, base, 7, 2)
         self.bn1 = image_norm(norm, base)
@@ -89,6 +88,7 @@ class ResNet18(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """(*, C, H, W) images to (*, F) features."""
+        _check_images(images, self.in_channels)
         batch = images.shape[:-3]
         rows = images.reshape(-1, *images.shape[-3:])
         rows = self.bn1(self.conv1((rows - self.offset) / self.spread)).relu()
@@ -140,12 +140,25 @@ class FrozenBatchNorm2d(nn.BatchNorm2d):
 def image_norm(norm: ImageNorm, channels: int) -> nn.Module:
     """The normalisation of that name for images (B, C, H, W)."""
     if norm == "group":
-        return nn.GroupNorm(channels // _GROUP, channels)
+        return nn.GroupNorm(channels // GROUP_CHANNELS, channels)
     if norm == "batch":
         return nn.BatchNorm2d(channels)
     if norm == "frozen":
         return FrozenBatchNorm2d(channels)
     raise ConfigError(f"norm={norm!r} is unknown: choose 'group', 'batch' or 'frozen'.")
+
+
+def _check_images(images: Tensor, in_channels: int) -> None:
+    if images.ndim < 3 or images.shape[-3] != in_channels:
+        raise ConfigError(
+            f"images of shape {tuple(images.shape)} do not go into an encoder of {in_channels} channels: "
+            f"give (*, {in_channels}, H, W)."
+        )
+    if not images.is_floating_point():
+        raise ConfigError(
+            f"images of type {images.dtype}: give floating point with colours in [0, 1], bytes divided by "
+            "255 (CameraImage does so)."
+        )
 
 
 def _stage(inputs: int, outputs: int, norm: ImageNorm) -> nn.Sequential:

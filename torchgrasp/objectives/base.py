@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from torchgrasp.errors import ConfigError
+from torchgrasp.objectives import functional
 
 # Two (*, D) tensors to their (*) distances.
 Distance = Callable[[Tensor, Tensor], Tensor]
@@ -79,35 +81,73 @@ class GraspLoss(LossModule):
                 f"{type(self).__name__} needs {missing} for its networks, which the batch lacks. {remedy}"
             )
 
-    def _mask(self, tensordict: TensorDictBase, name: str) -> Tensor | None:
+    def _written(
+        self, written: TensorDictBase, name: str, remedy: str = "give a network that writes it"
+    ) -> Tensor:
+        """The output that the key `name` stands for, or an error that says what to do."""
+        value = written.get(self._key(name), None)
+        if value is None:
+            raise ConfigError(
+                f"{type(self).__name__} needs {self._key(name)!r}, which its network does not write: "
+                f"name the key that it writes by set_keys({name}=...), or {remedy}."
+            )
+        return value
+
+    def _column(self, value: Tensor, name: str, batch: torch.Size) -> Tensor:
+        """(*, 1) values to (*), `batch`; any other shape would broadcast to other samples."""
+        if value.shape != (*batch, 1):
+            raise ConfigError(
+                f"{self._key(name)!r} has the shape {tuple(value.shape)} where the networks write for "
+                f"a batch of {tuple(batch)}: give {(*batch, 1)}, by unsqueeze(-1) if the last is absent."
+            )
+        return value.squeeze(-1)
+
+    def _mask(self, tensordict: TensorDictBase, name: str, batch: torch.Size) -> Tensor | None:
+        """The mask (*), true where a batch's entry of any type is not 0; None where the batch has none."""
         mask = tensordict.get(self._key(name), None)
-        return None if mask is None else mask.squeeze(-1)
+        return None if mask is None else self._column(mask, name, batch).bool()
 
     def _run(
-        self, network: TensorDictModuleBase, params: TensorDictParams | TensorDictBase, inputs: TensorDictBase
+        self,
+        network: TensorDictModuleBase,
+        params: TensorDictParams | TensorDictBase,
+        inputs: TensorDictBase,
+        *,
+        keep_statistics: bool = False,
     ) -> TensorDictBase:
-        """What `network` writes with the given parameters; `inputs` stays as it is."""
+        """What `network` writes with the given parameters; `inputs` stays as it is.
+
+        With `keep_statistics`, BatchNorm takes its stored statistics and leaves them as they are.
+        """
         self._require(inputs, network.in_keys, "Add them, or give networks with other in_keys.")
-        with params.to_module(network, preserve_module_state=False):
+        with (
+            _stored_statistics(network, keep_statistics),
+            params.to_module(network, preserve_module_state=False),
+        ):
             return network(inputs.select(*network.in_keys))
 
     def _writes(self, network: TensorDictModuleBase, name: str) -> bool:
         return unravel_key(self._key(name)) in map(unravel_key, network.out_keys)
 
     def _reduce(self, values: Tensor, tensordict: TensorDictBase, mask: Tensor | None = None) -> Tensor:
-        """(*) values to their mean or sum where the mask is true, or to (*) with zeros elsewhere.
+        """(*) values to their mean or sum where they count, or to (*) with zeros elsewhere.
 
         Weights of prioritised replay and TorchRL's own validity masks count as in every LossModule.
         No branch depends on a mask's values, so that vmap and torch.compile can follow.
         """
-        counted = torch.ones_like(values) if mask is None else mask.to(values.dtype)
-        values = values if mask is None else torch.where(mask, values, 0.0)
+        values = values.to(torch.promote_types(values.dtype, torch.float32))  # sums need the digits
+        counted = self._counted(values, tensordict, mask)
         weights = self._weights(tensordict, values)
-        if self.reduction != "mean":
-            return self._reduce_loss(values, tensordict, weights=weights)
-        total = self._reduce_loss(values, tensordict, reduction="sum", weights=weights)
-        count = self._reduce_loss(counted, tensordict, reduction="sum", weights=weights)
-        return total / torch.where(count > 0, count, 1.0)
+        if self.reduction == "mean":
+            return functional.masked_mean(values, counted, weights)
+        values = torch.where(counted, values, 0.0)
+        values = values if weights is None else values * weights
+        return values.sum() if self.reduction == "sum" else values
+
+    def _counted(self, values: Tensor, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
+        """The (*) mask of what counts: where `mask` is true and TorchRL's validity masks are."""
+        counted = self._reduce_loss(torch.ones_like(values), tensordict, reduction="none") > 0
+        return counted if mask is None else counted & mask
 
     def _weights(self, tensordict: TensorDictBase, values: Tensor) -> Tensor | None:
         """Weights (*) of prioritised replay; LossModule's own look-up passes nested keys over."""
@@ -119,7 +159,7 @@ class GraspLoss(LossModule):
     def _imitation_term(self, action: Tensor, tensordict: TensorDictBase, distance: Distance) -> Tensor:
         """L_BC where there is an expert's action."""
         expert = self._read(tensordict, "expert_action", "train without imitation (bc_weight=0)")
-        mask = self._mask(tensordict, "has_expert")
+        mask = self._mask(tensordict, "has_expert", action.shape[:-1])
         values = distance(stand_in(expert, action, mask), action)
         return self._reduce(values, tensordict, mask)
 
@@ -131,10 +171,11 @@ class GraspLoss(LossModule):
         Several predictions side by side, of a list of critics, each count.
         """
         goal = self._read(tensordict, "goal", "switch the goal term off by aux_weight=0")
-        mask = self._mask(tensordict, "has_goal")
+        mask = self._mask(tensordict, "has_goal", predicted.shape[:-1])
         success = None
         if success_only:
-            success = self._read(tensordict, "episode_success", "leave Eq. (5) out").squeeze(-1).bool()
+            success = self._read(tensordict, "episode_success", "leave Eq. (5) out")
+            success = self._column(success, "episode_success", predicted.shape[:-1]).bool()
         each = predicted.unflatten(-1, (-1, goal.shape[-1]))
         goals = goal.unsqueeze(-2).expand_as(each)
         for condition in (mask, success):
@@ -151,6 +192,20 @@ def stand_in(label: Tensor, predicted: Tensor, mask: Tensor | None) -> Tensor:
     What stands in for an absent label may be NaN, and zero times the gradient at NaN is NaN.
     """
     return label if mask is None else torch.where(mask.unsqueeze(-1), label, predicted.detach())
+
+
+@contextmanager
+def _stored_statistics(network: nn.Module, active: bool) -> Iterator[None]:
+    """Have layers with running statistics, those alone, in evaluation mode, if `active`."""
+    layers = [m for m in network.modules() if getattr(m, "track_running_stats", False)] if active else []
+    layers = [layer for layer in layers if layer.training]
+    for layer in layers:
+        layer.training = False
+    try:
+        yield
+    finally:
+        for layer in layers:
+            layer.training = True
 
 
 def unique_keys(*groups: Iterable[Any]) -> list[NestedKey]:

@@ -8,7 +8,14 @@ import torch
 from torch import Tensor
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import action_to_pose, goal_to_pose, gripper_control_points, transform_points
+from torchgrasp.geometry import (
+    ACTION_SIZE,
+    GOAL_SIZE,
+    action_to_pose,
+    goal_to_pose,
+    gripper_control_points,
+    transform_points,
+)
 
 PointNorm = Literal["l1", "l2"]
 
@@ -27,6 +34,7 @@ def pose_distance(T1: Tensor, T2: Tensor, points: Tensor | None = None, *, norm:
     """
     if norm not in ("l1", "l2"):
         raise ConfigError(f"norm={norm!r} is unknown: choose 'l1', the paper's, or 'l2'.")
+    T1, T2 = _one_dtype(T1, T2)
     if points is None:
         points = gripper_control_points(dtype=T1.dtype, device=T1.device)
     difference = transform_points(T1, points) - transform_points(T2, points)  # (*, M, 3)
@@ -37,26 +45,31 @@ def pose_distance(T1: Tensor, T2: Tensor, points: Tensor | None = None, *, norm:
 
 def action_distance(action: Tensor, other: Tensor, *, norm: PointNorm = "l1") -> Tensor:
     """L_POSE between (*, 6) actions, metres and Euler angles (Sec. 6.4): (*) metres."""
-    return pose_distance(action_to_pose(action), action_to_pose(other), norm=norm)
+    _check_size("action_distance", ACTION_SIZE, action, other, remedy="distance=")
+    return pose_distance(*map(action_to_pose, _one_dtype(action, other)), norm=norm)
 
 
 def goal_distance(goal: Tensor, other: Tensor, *, norm: PointNorm = "l1") -> Tensor:
     """L_POSE between (*, 7) goals, metres and quaternion xyzw of either sign: (*) metres."""
-    return pose_distance(goal_to_pose(goal), goal_to_pose(other), norm=norm)
+    _check_size("goal_distance", GOAL_SIZE, goal, other, remedy="goal_distance= (distance= of GoalAuxLoss)")
+    return pose_distance(*map(goal_to_pose, _one_dtype(goal, other)), norm=norm)
 
 
-def masked_mean(values: Tensor, mask: Tensor | None = None) -> Tensor:
-    """The mean of the (*) values where the (*) mask is true; 0, with its graph, where it never is.
+def masked_mean(values: Tensor, mask: Tensor | None = None, weights: Tensor | None = None) -> Tensor:
+    """The mean of the (*) values where the (*) bool mask is true; 0, with its graph, where it never is.
 
-    Values outside the mask may be anything, NaN included.
+    Values outside the mask may be anything, NaN included. With `weights` (*) it is the weighted mean.
 
     Example:
         >>> masked_mean(torch.tensor([1.0, 3.0, torch.nan]), torch.tensor([True, True, False]))
         tensor(2.)
     """
-    if mask is None:
-        return values.mean()
-    return torch.where(mask, values, 0.0).sum() / mask.sum().clamp_min(1)
+    counted = torch.ones_like(values) if mask is None else mask.to(values.dtype)
+    values = values if mask is None else torch.where(mask, values, 0.0)
+    if weights is not None:
+        counted, values = counted * weights, values * weights
+    count = counted.sum()
+    return values.sum() / torch.where(count > 0, count, 1.0)
 
 
 def bellman_target(reward: Tensor, terminated: Tensor, next_values: Tensor, gamma: float | Tensor) -> Tensor:
@@ -70,3 +83,18 @@ def bellman_target(reward: Tensor, terminated: Tensor, next_values: Tensor, gamm
     """
     least = next_values.amin(dim=-1, keepdim=True)
     return reward + gamma * torch.where(terminated, 0.0, least)
+
+
+def _one_dtype(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+    """Both in the wider of their types: a label keeps its digits beside a bfloat16 prediction."""
+    dtype = torch.promote_types(first.dtype, second.dtype)
+    return first.to(dtype), second.to(dtype)
+
+
+def _check_size(name: str, size: int, *vectors: Tensor, remedy: str) -> None:
+    for vector in vectors:
+        if vector.ndim == 0 or vector.shape[-1] != size:
+            raise ConfigError(
+                f"{name} compares (*, {size}) tensors and was given {tuple(vector.shape)}: give those, or "
+                f"replace it by a distance of your own, {remedy} of the loss."
+            )

@@ -69,6 +69,6 @@ class GoalAuxLoss(GraspLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A batch to `loss_aux`."""
         written = self._run(self.network, self.network_params, tensordict)
-        predicted = self._read(written, "goal_prediction", "give a network that writes it")
+        predicted = self._written(written, "goal_prediction")
         loss = self._goal_term(predicted, tensordict, self.distance, success_only=self.success_only)
         return TensorDict({"loss_aux": loss}, [])

@@ -80,10 +80,10 @@ class PoseBCLoss(GraspLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A batch to its losses: `loss_bc`, and `loss_aux` where it has a weight."""
         written = self._run(self.actor_network, self.actor_network_params, tensordict)
-        bc = self._imitation_term(written.get(self._key("action")), tensordict, self.distance)
+        bc = self._imitation_term(self._written(written, "action"), tensordict, self.distance)
         losses = {"loss_bc": bc}
         if self.aux_weight > 0:
-            predicted = self._read(written, "goal_prediction", "set aux_weight=0")
+            predicted = self._written(written, "goal_prediction", "set aux_weight=0")
             aux = self._goal_term(predicted, tensordict, self.goal_distance, success_only=False)
             losses["loss_aux"] = self.aux_weight * aux
         return TensorDict(losses, [])

@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from torchrl.data import Bounded
 
 from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.modules.heads import bound_tensor
 
 
 class TargetSmoothing(nn.Module):
@@ -45,8 +46,9 @@ class TargetSmoothing(nn.Module):
         check_range("noise_clip", noise_clip, 0.0, float("inf"))
         self.policy_noise, self.noise_clip, self.generator = policy_noise, noise_clip, generator
         low, high = _limits(action_bound, action_spec)
-        self.register_buffer("low", low)
-        self.register_buffer("high", high)
+        # Configuration: they move along, but no checkpoint overwrites them.
+        self.register_buffer("low", low, persistent=False)
+        self.register_buffer("high", high, persistent=False)
 
     def forward(self, action: Tensor) -> Tensor:
         """(*, A) actions to noisy ones within the limits."""
@@ -55,22 +57,27 @@ class TargetSmoothing(nn.Module):
                 f"the limits have {self.low.numel()} components and the action {action.shape[-1]}: "
                 "give action_bound or action_spec of the action's size."
             )
+        low, high = self.low.to(action), self.high.to(action)
         if self.policy_noise == 0:
-            return action.clamp(self.low, self.high)
+            return action.clamp(low, high)
         noise = torch.randn(action.shape, generator=self.generator, dtype=action.dtype, device=action.device)
         noise = (self.policy_noise * noise).clamp(-self.noise_clip, self.noise_clip)
-        return (action + noise * (self.high - self.low) / 2).clamp(self.low, self.high)
+        return (action + noise * (high - low) / 2).clamp(low, high)
 
 
 def _limits(action_bound: Sequence[float], action_spec: Any) -> tuple[Tensor, Tensor]:
     """Low and high of one action, (A,) each."""
     if action_spec is None:
-        bound = torch.as_tensor(tuple(action_bound), dtype=torch.float32)
-        if not (bound > 0).all():
-            raise ConfigError(f"action_bound={action_bound} must be positive numbers, one a component.")
+        bound = bound_tensor(action_bound)
         return -bound, bound
     if not isinstance(action_spec, Bounded):
         raise ConfigError(f"action_spec={action_spec} has no limits: give a Bounded spec, or action_bound.")
     space: Any = action_spec.space
     size = action_spec.shape[-1]
-    return space.low.reshape(-1, size)[0].clone(), space.high.reshape(-1, size)[0].clone()
+    low, high = space.low.reshape(-1, size)[0].clone(), space.high.reshape(-1, size)[0].clone()
+    if not (low.isfinite() & high.isfinite()).all():
+        raise ConfigError(
+            f"action_spec has the limits {low.tolist()} and {high.tolist()}, whose half range is the unit of "
+            "the noise: give a Bounded spec of finite ones, or action_bound."
+        )
+    return low, high

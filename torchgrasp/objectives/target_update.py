@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torchrl.objectives.utils import TargetNetUpdater
 
-from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.objectives.side_by_side import SideBySide
 from torchgrasp.objectives.td3_bc import GraspTD3BCLoss
 
@@ -41,8 +41,7 @@ class StaggeredTargetUpdate(TargetNetUpdater):
                 "or use torchrl's SoftUpdate or HardUpdate."
             )
         check_range("tau", tau, 0.0, 1.0)
-        if period < 1:
-            raise ConfigError(f"period={period}: give at least one update from copy to copy.")
+        check_whole("period", period, 1)
         _check_staggered(loss_module)
         super().__init__(loss_module)
         self.tau, self.period, self.counter = tau, period, 0

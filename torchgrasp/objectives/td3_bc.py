@@ -34,8 +34,12 @@ class GraspTD3BCLoss(GraspLoss):
     updates that come every second time; `forward` computes both. Terms of weight 0, and goal terms of
     networks without a goal prediction, are absent from the output.
 
-    The discount is 0.95 until ``make_value_estimator(gamma=...)``. The batch's td error is written
-    under the priority key.
+    The discount is 0.95 until ``make_value_estimator(gamma=...)``; like the limits of the action it is
+    configuration and no part of the state_dict. The batch's td error is written under the priority key,
+    and where a term leaves a sample out, the mean of those that count.
+
+    Passes of target networks, and of the critic for the actor, take BatchNorm's stored statistics and
+    leave them as they are.
 
     Args:
         actor_network: reads the state, writes the action (*, A) and, or not, a goal prediction.
@@ -97,7 +101,7 @@ class GraspTD3BCLoss(GraspLoss):
     critic_network_params: TensorDictParams
     target_critic_network_params: TensorDictParams
     target_delayed_critic_network_params: TensorDictParams
-    gamma: Tensor
+    gamma: float
 
     def __init__(
         self,
@@ -130,7 +134,8 @@ class GraspTD3BCLoss(GraspLoss):
             action_spec=action_spec,
             generator=generator,
         )
-        self.register_buffer("gamma", torch.tensor(0.95))  # Sec. 6.4
+        # Sec. 6.4. No buffer: a checkpoint would overwrite what was set, and bfloat16 round it.
+        self.gamma = 0.95
 
     def _adopt_networks(self, actor: Any, critic: Any, staggered: bool) -> None:
         one = isinstance(critic, TensorDictModuleBase)
@@ -156,7 +161,7 @@ class GraspTD3BCLoss(GraspLoss):
             raise ConfigError(f"{given} is not offered: choose ValueEstimators.TD0 and gamma.")
         gamma = hyperparams.get("gamma", 0.95)
         check_range("gamma", gamma, 0.0, 1.0)
-        self.gamma.fill_(gamma)
+        self.gamma = float(gamma)
         return self
 
     def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
@@ -194,23 +199,32 @@ class GraspTD3BCLoss(GraspLoss):
         """The terms of Eq. (3), and the figures `td_error`, `pred_value` and `target_value`."""
         target = self._target_value(tensordict)
         written = self._run(self.critic_network, self.critic_network_params, tensordict)
-        value = written.get(self._key("state_action_value"))
+        value = self._written(written, "state_action_value")
         error = value - target  # (*, Q)
-        mask = self._mask(tensordict, "perturbed")
+        mask = self._mask(tensordict, "perturbed", value.shape[:-1])
         mask = None if mask is None else ~mask
         out = {"loss_qvalue": self._reduce(0.5 * error.square().sum(dim=-1), tensordict, mask)}
         if self._predicts_goal(self.critic_network):
             out["loss_critic_aux"] = self._weighted_goal_term(written, tensordict)
-        worst = error.detach().abs().amax(dim=-1)
-        tensordict.set(self._key("priority"), worst)
-        out["td_error"] = functional.masked_mean(worst, mask)
+        out["td_error"] = self._write_priority(error.detach().abs().amax(dim=-1), tensordict, mask)
         out["pred_value"], out["target_value"] = value.detach().mean(), target.mean()
         return TensorDict(out, [])
+
+    def _write_priority(self, error: Tensor, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
+        """Write each sample's error (*), and return the mean of those that count.
+
+        What is not trained keeps its error for ever, and as a priority it would crowd out the rest:
+        the mean stands in for it.
+        """
+        counted = self._counted(error, tensordict, mask)
+        mean = functional.masked_mean(error, counted)
+        tensordict.set(self._key("priority"), torch.where(counted, error, mean))
+        return mean
 
     def actor_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The terms of Eq. (4)."""
         written = self._run(self.actor_network, self.actor_network_params, tensordict)
-        action = written.get(self._key("action"))
+        action = self._written(written, "action")
         out = {}
         if self.bc_weight > 0:
             out["loss_actor_bc"] = self.bc_weight * self._imitation_term(action, tensordict, self.distance)
@@ -226,20 +240,27 @@ class GraspTD3BCLoss(GraspLoss):
         inputs = tensordict.select(*self.critic_network.in_keys, strict=False).set(
             self._key("action"), action
         )
-        written = self._run(self.critic_network, self.critic_network_params.detach(), inputs)
-        return written.get(self._key("state_action_value"))[..., 0]
+        params = self.critic_network_params.detach()
+        written = self._run(self.critic_network, params, inputs, keep_statistics=True)
+        return self._written(written, "state_action_value")[..., 0]
 
     @torch.no_grad()
     def _target_value(self, tensordict: TensorDictBase) -> Tensor:
         """Target y of Eq. (3), (*, 1)."""
         following = self._following(tensordict)
-        acted = self._run(self.actor_network, self.target_actor_network_params, following)
-        following.set(self._key("action"), self.smoothing(acted.get(self._key("action"))))
+        params = self.target_actor_network_params
+        acted = self._run(self.actor_network, params, following, keep_statistics=True)
+        following.set(self._key("action"), self.smoothing(self._written(acted, "action")))
         values = self._target_values(following)
-        ends = tensordict.get("next")
-        reward = self._read(ends, "reward", "record transitions with it below 'next'")
-        terminated = self._read(ends, "terminated", "record transitions with it below 'next'")
-        return functional.bellman_target(reward, terminated, values, self.gamma)
+        reward, terminated = (
+            self._column(
+                self._read(tensordict.get("next"), name, "record transitions with it below 'next'"),
+                name,
+                values.shape[:-1],
+            ).unsqueeze(-1)
+            for name in ("reward", "terminated")
+        )
+        return functional.bellman_target(reward, terminated.bool(), values, self.gamma)
 
     def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The next states; no entry of the present ones stands in for what they lack."""
@@ -255,18 +276,20 @@ class GraspTD3BCLoss(GraspLoss):
 
     def _target_values(self, following: TensorDictBase) -> Tensor:
         """(*, Q): the first value from the targets that follow, the others from those copied."""
-        key = self._key("state_action_value")
-        values = self._run(self.critic_network, self.target_critic_network_params, following).get(key)
+        values = self._target_pass(self.target_critic_network_params, following)
         if not self.has_delayed_critic or values.shape[-1] == 1:
             return values
-        params = self.target_delayed_critic_network_params
-        delayed = self._run(self.critic_network, params, following).get(key)
+        delayed = self._target_pass(self.target_delayed_critic_network_params, following)
         return torch.cat((values[..., :1], delayed[..., 1:]), dim=-1)
+
+    def _target_pass(self, params: TensorDictParams, following: TensorDictBase) -> Tensor:
+        written = self._run(self.critic_network, params, following, keep_statistics=True)
+        return self._written(written, "state_action_value")
 
     def _predicts_goal(self, network: TensorDictModuleBase) -> bool:
         return self.aux_weight > 0 and self._writes(network, "goal_prediction")
 
     def _weighted_goal_term(self, written: TensorDictBase, tensordict: TensorDictBase) -> Tensor:
-        predicted = written.get(self._key("goal_prediction"))
+        predicted = self._written(written, "goal_prediction")
         term = self._goal_term(predicted, tensordict, self.goal_distance, success_only=self.hindsight)
         return self.aux_weight * term

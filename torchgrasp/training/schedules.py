@@ -6,7 +6,7 @@ import bisect
 import math
 from collections.abc import Callable, Sequence
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, check_range
 
 Schedule = Callable[[int], float]
 
@@ -19,8 +19,9 @@ def step_schedule(milestones: Sequence[int], gamma: float = 0.3) -> Schedule:
     [1.0, 1.0, 0.5, 0.25]
     """
     steps = list(milestones)
-    if steps != sorted(set(steps)) or gamma <= 0:
-        raise ConfigError(f"milestones={steps} must increase and gamma={gamma} be above 0.")
+    if steps != sorted(set(steps)):
+        raise ConfigError(f"milestones={steps} must increase: give each step once, in order.")
+    check_range("gamma", gamma, 0.0, float("inf"), open_low=True)
     return lambda step: float(gamma ** bisect.bisect_right(steps, step))
 
 
