@@ -86,4 +86,4 @@ def make_row(
     row = codec.example_row(shapes)
     if augment is not None:
         augment(codec(row.copy()))
-    return row.select(*codec.observation_keys, keys.ACTION, *default_labels())
+    return row.select(*codec.observation_keys, *codec.extra_keys, keys.ACTION, *default_labels())
