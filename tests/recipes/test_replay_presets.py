@@ -9,7 +9,7 @@ from learner import Learner
 from runner import ROOT
 from tensordict import TensorDict
 
-from torchgrasp.data import MixtureReplayBuffer
+from torchgrasp.data import MixtureReplayBuffer, estimate_bytes
 from torchgrasp.errors import ConfigError
 from torchgrasp.transforms import HindsightGoal
 
@@ -76,6 +76,8 @@ def test_further_keys_of_a_step_are_an_override_away(composed, tmp_path):
     learner = Learner(cfg, common.observed_shapes(cfg))
     learner.make_buffer(tmp_path / "demos")
     learner.load_demonstrations()
+    # What was told of memory beforehand is what the rows take.
+    assert learner.buffer.num_bytes() == estimate_bytes(len(learner.buffer), learner._row)
     poses = learner.buffer.sample()["T_base_ee"]
     assert poses.shape[1:] == (4, 4) and (poses[:, 3, 3] == 1).all()
     # Demonstrations that lack what is wanted are refused before anything is stored.

@@ -82,11 +82,6 @@ class CompactTransitions(Transform):
         """The observations, which have next values; the storage reads those from the following row."""
         return tuple(self._encodings)
 
-    @property
-    def extra_keys(self) -> tuple[NestedKey, ...]:
-        """What is kept besides observations, action, labels and outcomes."""
-        return self._extra_keys
-
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self.encode(tensordict)
 
