@@ -15,7 +15,6 @@ from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
 from torchgrasp.data import CompactTransitions
-from torchgrasp.data.compact import default_labels
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.geometry import GOAL_SIZE
 from torchgrasp.training import load_weights
@@ -97,7 +96,7 @@ def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) ->
 def make_row(
     codec: CompactTransitions, augment: Transform | None, shapes: Mapping[Any, tuple[int, ...]]
 ) -> TensorDictBase:
-    """A stored transition of observations of those shapes: what is observed, the action and its labels.
+    """A stored transition of observations of those shapes.
 
     Read back and augmented once, so that what cannot be augmented is refused before anything is collected.
     """
@@ -110,4 +109,4 @@ def make_row(
     row = codec.example_row(shapes)
     if augment is not None:
         augment(codec(row.copy()))
-    return row.select(*codec.observation_keys, keys.ACTION, *default_labels())
+    return row

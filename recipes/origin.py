@@ -9,6 +9,7 @@ import settings
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 
+from torchgrasp import keys
 from torchgrasp.data import Demonstrations, open_demonstrations
 from torchgrasp.data.files import describe_file
 from torchgrasp.data.kinds import COUNTED, resolve_count
@@ -62,7 +63,8 @@ def check_origin(ours: dict, path: Path, card: dict, names: tuple[str, ...] = ()
 
 def check_rows(opened: Demonstrations, row: TensorDictBase) -> None:
     """Refuse demonstrations whose rows have not the shapes of `row`, one that the learner would store."""
-    expected = {name: tuple(value.shape[1:]) for name, value in row.items()}
+    # Which source they are is told when they are added.
+    expected = {name: tuple(value.shape[1:]) for name, value in row.items() if name != keys.SOURCE}
     for rows in opened.iterate_rows():
         for name, shape in expected.items():
             value = rows.get(name, None)

@@ -16,6 +16,8 @@ ACTION_SIZE = 6
 # Released code: the largest relative pose of one step, 6 cm and 30 degrees a component.
 ACTION_BOUND = (0.06, 0.06, 0.06, math.pi / 6, math.pi / 6, math.pi / 6)
 GOAL_SIZE = 7
+# What stands for a goal where there is none (has_goal is false): no pose, its quaternion has no length.
+NO_GOAL = (0.0,) * GOAL_SIZE
 
 # X_g of Eq. (2): palm twice, finger bases, finger tips, in the ee frame (released code's values).
 _CONTROL_POINTS = (

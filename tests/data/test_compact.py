@@ -101,7 +101,7 @@ def test_missing_labels_are_stored_as_absent():
     buffer.extend(bare)
     batch = buffer.sample()
     assert not batch["has_expert"].any() and not batch["has_goal"].any() and not batch["perturbed"].any()
-    assert batch["goal"][0].tolist() == [0, 0, 0, 0, 0, 0, 1]
+    assert torch.equal(batch["goal"], torch.zeros(64, 7))
 
 
 def test_extra_keys_are_kept():
@@ -111,6 +111,79 @@ def test_extra_keys_are_kept():
     buffer.extend(rollout)
     batch = buffer.sample()
     assert torch.equal(batch["object_id"], batch["time_left"].long())
+
+
+def test_an_example_row_holds_extra_keys_of_their_types():
+    codec = CompactTransitions(extra_keys=("object_id", ("camera", "depth")))
+    shapes = {"points": (14, 4), "time_left": (1,), "object_id": (1,), ("camera", "depth"): (2, 3)}
+    row = codec.example_row(shapes, dtypes={"object_id": torch.int64})
+    assert row["object_id"].dtype == torch.int64 and row["object_id"].shape == (1, 1)
+    assert row["camera", "depth"].dtype == torch.float32 and row["camera", "depth"].shape == (1, 2, 3)
+    for key in ("time_left", "object_id"):
+        with pytest.raises(ConfigError, match=f"'{key}'"):
+            codec.example_row({each: shape for each, shape in shapes.items() if each != key})
+
+
+def test_extra_keys_that_are_missing_are_named():
+    rollout = make_rollout(1, 4, generator=torch.Generator().manual_seed(6))
+    with pytest.raises(ConfigError, match="finds no 'object_id'"):
+        CompactTransitions(extra_keys=("object_id",)).encode(rollout)
+
+
+def test_extra_keys_that_are_stored_anyway_change_nothing():
+    rollout = make_rollout(2, 5, generator=torch.Generator().manual_seed(6))
+    bare = rollout.exclude("goal", "perturbed")
+    named = CompactTransitions(extra_keys=("goal", "perturbed", "episode_success", "time_left", "reward"))
+    assert (named.encode(bare) == CompactTransitions().encode(bare)).all()
+
+
+def test_a_stub_carries_the_goal_of_the_state_that_it_holds():
+    generator = torch.Generator().manual_seed(12)
+    rollout = make_rollout(1, 4, generator=generator, done_rate=0.0)
+    rollout["next", "goal"] = torch.randn(1, 4, 7, generator=generator)
+    rollout["next", "has_goal"] = ~rollout["has_goal"]
+    rows = CompactTransitions().encode(rollout)
+    assert torch.equal(rows["goal"][:4], rollout["goal"][0])
+    assert torch.equal(rows["goal"][4], rollout["next", "goal"][0, 3])
+    assert torch.equal(rows["has_goal"][4], rollout["next", "has_goal"][0, 3])
+    # Without a next goal the last one known stays.
+    rows = CompactTransitions().encode(rollout.exclude(("next", "goal"), ("next", "has_goal")))
+    assert torch.equal(rows["goal"][4], rollout["goal"][0, 3])
+
+
+def test_no_success_is_stored_across_the_border_of_two_trajectories():
+    rollout = make_rollout(1, 5, generator=torch.Generator().manual_seed(4), done_rate=0.0)
+    for key in ("done", "terminated", "reward"):
+        rollout["next", key][0, -1] = 1
+    rollout["collector", "traj_ids"] = torch.tensor([[0, 0, 1, 1, 1]])
+    rows = CompactTransitions().encode(rollout)
+    assert rows["stub"].squeeze(-1).int().tolist() == [0, 0, 1, 0, 0, 0]
+    assert rows["episode_success"].squeeze(-1).int().tolist() == [0, 0, 0, 1, 1, 1]
+
+
+def test_a_step_alone_is_refused():
+    step = make_rollout(1, 2, generator=torch.Generator())[0, 0]
+    for refuse in (make_buffer().add, make_buffer().extend, CompactTransitions().encode):
+        with pytest.raises(ConfigError, match=r"\(\*, T\), time last"):
+            refuse(step)
+    buffer = make_buffer()
+    buffer.extend(step.unsqueeze(-1))
+    assert buffer.num_rows()["online"] == 1
+
+
+@pytest.mark.parametrize("shape", [(0,), (2, 0), (0, 4)])
+def test_no_steps_add_nothing(shape):
+    rollout = make_rollout(2, 4, generator=torch.Generator().manual_seed(0))
+    buffer = make_buffer()
+    empty = rollout[0, :0] if len(shape) == 1 else rollout[: shape[0], : shape[1]]
+    assert empty.shape == shape
+    index = buffer.extend(empty, source="expert")
+    assert index.shape == (0,) and index.dtype == torch.int64
+    padding = rollout.copy().set("mask", torch.zeros(2, 4, dtype=torch.bool))
+    assert buffer.extend(padding).numel() == 0
+    assert len(buffer) == 0
+    buffer.extend(rollout)
+    assert buffer.num_rows()["online"] == 8
 
 
 def test_gripper_points_and_flags_come_back():

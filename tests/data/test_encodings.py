@@ -82,6 +82,34 @@ def test_clouds_lose_a_quarter_of_a_millimetre_at_most():
     assert torch.equal(back[:, 100:], cloud[:, 100:]) and torch.equal(back[..., 3], cloud[..., 3])
 
 
+def make_hand_cloud(dtype: torch.dtype) -> torch.Tensor:
+    """(2, 16, 4) clouds of coordinates that every type below holds exactly, and the gripper's points."""
+    cloud = torch.zeros(2, 16, 4)
+    cloud[:, :10, :3] = torch.arange(60).reshape(2, 10, 3) / 64
+    cloud[:, 10:, :3], cloud[:, 10:, 3] = gripper_control_points(), 1.0
+    return cloud.to(dtype)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32, torch.float16, torch.bfloat16])
+def test_clouds_of_any_floating_type_are_stored(dtype):
+    encoding = CloudEncoding("points", gripper_points=True)
+    back = encoding.decode(encoding.encode(make_hand_cloud(dtype)))
+    assert torch.equal(back, make_hand_cloud(torch.float32))
+
+
+@pytest.mark.parametrize("value", [7e4, -7e4, float("inf"), float("nan")])
+def test_values_that_float16_does_not_hold_are_refused(value):
+    for gripper_points in (True, False):
+        cloud = make_hand_cloud(torch.float32)
+        cloud[1, 3, 2] = value
+        with pytest.raises(ConfigError, match=r"'points' holds values .* 65504"):
+            CloudEncoding("points", gripper_points=gripper_points).encode(cloud)
+    with pytest.raises(ConfigError, match="'image' holds values"):
+        ImageEncoding("image", "d").encode(torch.full((1, 1, 2, 2), value))
+    largest = torch.full((1, 2, 3), 65504.0)
+    assert torch.equal(CloudEncoding("points", gripper_points=False).encode(largest).float(), largest)
+
+
 def test_pictures_that_do_not_fit_are_refused():
     encoding = ImageEncoding("image", "rgb")
     with pytest.raises(ConfigError, match="3 planes"):

@@ -1,8 +1,10 @@
+import pytest
 import torch
 from rollouts import make_rollout
 from tensordict import TensorDict
 
 from torchgrasp.data import label_episode_success, split_episodes
+from torchgrasp.errors import ConfigError
 
 
 def make_outcomes(reward, done):
@@ -19,6 +21,34 @@ def test_success_reaches_back_to_the_episodes_first_step_and_no_further():
 def test_a_reward_before_the_end_is_no_success():
     steps = label_episode_success(make_outcomes([1, 0, 1], [0, 1, 0]))
     assert not steps["episode_success"].any()
+
+
+@pytest.mark.parametrize("name", [("collector", "traj_ids"), "traj_ids", "episode", "source"])
+def test_success_stops_at_the_border_of_two_trajectories(name):
+    # The first trajectory is cut off after two steps; the second succeeds after three.
+    steps = make_outcomes([0, 0, 0, 0, 1], [0, 0, 0, 0, 1])
+    steps[name] = torch.tensor([0, 0, 1, 1, 1])
+    success = label_episode_success(steps)["episode_success"].squeeze(-1)
+    assert success.int().tolist() == [0, 0, 1, 1, 1]
+    (episode,) = split_episodes(steps)
+    assert len(episode) == 3
+
+
+def test_padding_belongs_to_no_episode():
+    # Padding between steps parts them, and what it holds is not read.
+    steps = make_outcomes([0, 0, 1, 0, 1], [0, 0, 1, 0, 1])
+    steps["mask"] = torch.tensor([1, 1, 0, 1, 1]).bool()
+    success = label_episode_success(steps)["episode_success"].squeeze(-1)
+    assert success.int().tolist() == [0, 0, 0, 1, 1]
+    (episode,) = split_episodes(steps)
+    assert len(episode) == 2
+
+
+def test_a_step_alone_is_refused():
+    step = make_outcomes([1, 0], [1, 0])[0]
+    for refuse in (label_episode_success, split_episodes):
+        with pytest.raises(ConfigError, match=r"\(\*, T\), time last"):
+            refuse(step)
 
 
 def test_split_gives_whole_episodes_only():

@@ -141,6 +141,22 @@ def test_a_restored_buffer_goes_on_alike(route, tmp_path):
             buffer.extend(make_rows(range(100, 107), 0))
 
 
+def test_a_folder_that_held_more_sources_can_be_written_with_less(tmp_path):
+    first, second, third = (make_buffer({"online": 20, "expert": 8}, SHARES) for _ in range(3))
+    for source in (0, 1):
+        first.extend(make_rows(range(5), source))
+    second.extend(make_rows(range(7), 0))
+    first.dumps(tmp_path)
+    second.dumps(tmp_path)
+    third.loads(tmp_path)
+    assert third._storage.num_rows() == {"online": 7, "expert": 0}
+
+
+def test_spans_name_the_sources():
+    with pytest.raises(ConfigError, match="spans"):
+        MixtureSampler(SHARES, spans={"online": range(4)})
+
+
 def test_sampler_works_in_an_ordinary_buffer_that_wraps():
     buffer = TensorDictReplayBuffer(
         storage=LazyTensorStorage(100), sampler=MixtureSampler(SHARES), batch_size=10

@@ -90,6 +90,14 @@ def test_rows_are_drawn_in_proportion_to_their_errors_and_shares_are_exact():
     assert ((counts - expected)[drawn] ** 2 / expected[drawn]).sum() < 42
 
 
+def test_a_batch_may_be_too_small_for_every_source():
+    buffer = make_buffer({"online": 0.7, "expert": 0.3})
+    buffer.extend(make_rows(range(20), 0))
+    buffer.extend(make_rows(range(10), 1))
+    batch = buffer.sample(1)
+    assert batch["source"].tolist() == [[0]] and batch["priority_weight"].tolist() == [1.0]
+
+
 def test_alpha_flattens_the_preference():
     for alpha, share in ((0.0, 1 / 2), (0.5, 2 / 3), (1.0, 4 / 5)):
         buffer = make_buffer({"online": 1.0}, priority=Priority(alpha=alpha, eps=1e-9))
@@ -211,6 +219,18 @@ def test_a_restored_buffer_draws_and_weighs_alike(route, tmp_path):
             buffer.update_priority(batches[0]["index"], batches[0]["x"])
     with pytest.raises(ConfigError, match="without a priority"):
         second.sampler.load_state_dict(make_buffer(shares, priority=None).sampler.state_dict())
+
+
+def test_a_folder_that_held_priorities_can_be_written_without_them(tmp_path):
+    shares = {"online": 0.5, "expert": 0.5}
+    for priority in (FULL, None, FULL):
+        buffer, again = (make_buffer(shares, priority=priority) for _ in range(2))
+        for source in (0, 1):
+            buffer.extend(make_rows(range(6), source))
+        buffer.dumps(tmp_path)
+        again.loads(tmp_path)
+        assert again.sampler.num_rows() == {"online": 6, "expert": 6}
+        assert torch.equal(buffer.sample()["x"], again.sample()["x"])
 
 
 def test_torchrls_scheduler_anneals_beta():

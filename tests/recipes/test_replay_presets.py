@@ -9,7 +9,8 @@ from learner import Learner
 from runner import ROOT
 from tensordict import TensorDict
 
-from torchgrasp.data import MixtureReplayBuffer
+from torchgrasp.data import MixtureReplayBuffer, estimate_bytes
+from torchgrasp.errors import ConfigError
 from torchgrasp.transforms import HindsightGoal
 
 # Observations that each preset stores, of shapes as its transforms would write them.
@@ -66,3 +67,20 @@ def test_the_correction_of_priorities_grows_to_the_full(composed, tmp_path):
         learner.set_rates(progress)
         found.append(learner.buffer.beta)
     assert found == pytest.approx([0.4, 0.7, 1.0])
+
+
+def test_further_keys_of_a_step_are_an_override_away(composed, tmp_path):
+    cfg = composed("experiment=smoke", "replay.codec.extra_keys=[T_base_ee]", "demonstrations.steps=12")
+    with common.make_pool(cfg) as pool:
+        collect.collect(cfg, pool, tmp_path / "demos")
+    learner = Learner(cfg, common.observed_shapes(cfg))
+    learner.make_buffer(tmp_path / "demos")
+    learner.load_demonstrations()
+    # What was told of memory beforehand is what the rows take.
+    assert learner.buffer.num_bytes() == estimate_bytes(len(learner.buffer), learner._row)
+    poses = learner.buffer.sample()["T_base_ee"]
+    assert poses.shape[1:] == (4, 4) and (poses[:, 3, 3] == 1).all()
+    # Demonstrations that lack what is wanted are refused before anything is stored.
+    other = composed("experiment=smoke", "replay.codec.extra_keys=[T_base_ee,object_id]")
+    with pytest.raises(ConfigError, match="object_id"):
+        Learner(other, common.observed_shapes(other)).make_buffer(tmp_path / "demos")

@@ -16,7 +16,7 @@ from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 from torchgrasp.transforms import HindsightGoal, RandomMirror
 
 HORIZON = 12
-NO_GOAL = [0, 0, 0, 0, 0, 0, 1]
+AT_THE_GOAL = [0, 0, 0, 0, 0, 0, 1]
 
 
 def make_env(num_envs: int) -> GraspEnv:
@@ -80,17 +80,42 @@ def test_only_steps_of_episodes_that_succeeded_have_goals():
         [True, True, True, True, False],
     ]
     without = steps["goal"][~steps["has_goal"].squeeze(-1)]
-    assert without.tolist() == [NO_GOAL] * 4
+    assert without.tolist() == [[0.0] * 7] * 4
     reached = steps["T_base_ee"] @ goal_to_pose(steps["goal"])
     assert torch.allclose(reached[0, :2], steps["next", "T_base_ee"][0, 1].expand(2, 4, 4), atol=1e-5)
     assert torch.allclose(reached[1, :4], steps["next", "T_base_ee"][1, 3].expand(4, 4, 4), atol=1e-5)
+
+
+def test_a_trajectory_that_was_cut_takes_no_goal_from_the_next_one():
+    steps = make_steps()[1]
+    steps["next", "done"] = (torch.arange(5) == 4)[:, None]
+    steps["next", "reward"] = steps["next", "done"].float()
+    steps["collector", "traj_ids"] = torch.tensor([0, 0, 1, 1, 1])
+    steps = HindsightGoal()(steps)
+    assert steps["has_goal"].squeeze(-1).int().tolist() == [0, 0, 1, 1, 1]
+    assert steps["next", "has_goal"].squeeze(-1).int().tolist() == [0, 0, 1, 1, 1]
+    assert not steps["goal"][:2].any()
+
+
+def test_no_goal_is_what_the_expert_writes_where_it_has_none(grasps):
+    without = ~grasps["has_goal"].squeeze(-1)
+    steps = HindsightGoal()(make_steps())
+    codec = CompactTransitions(gripper_points=False)
+    rows = codec.encode(make_steps())
+    for goals in (grasps["goal"][without], steps["goal"][~steps["has_goal"].squeeze(-1)], rows["goal"]):
+        assert not goals.any()
+
+
+def test_a_step_alone_is_refused():
+    with pytest.raises(ConfigError, match=r"\(\*, T\), time last"):
+        HindsightGoal()(make_steps()[0, 0])
 
 
 def test_the_next_state_has_the_same_goal_in_its_own_frame():
     steps = HindsightGoal()(make_steps())
     assert torch.allclose(steps["next", "goal"][1, :3], steps["goal"][1, 1:4], atol=1e-5)
     # When the hand closes it is where it goes.
-    assert torch.allclose(steps["next", "goal"][1, 3], torch.tensor(NO_GOAL).float(), atol=1e-6)
+    assert torch.allclose(steps["next", "goal"][1, 3], torch.tensor(AT_THE_GOAL).float(), atol=1e-6)
 
 
 def test_goals_that_were_there_go_or_are_kept():

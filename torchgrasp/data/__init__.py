@@ -6,8 +6,6 @@ from torchgrasp.data.compact import CompactTransitions as CompactTransitions
 from torchgrasp.data.demonstrations import Demonstrations as Demonstrations
 from torchgrasp.data.demonstrations import drop_damaged_shards as drop_damaged_shards
 from torchgrasp.data.demonstrations import open_demonstrations as open_demonstrations
-from torchgrasp.data.episodes import label_episode_success as label_episode_success
-from torchgrasp.data.episodes import split_episodes as split_episodes
 from torchgrasp.data.kinds import find_counted as find_counted
 from torchgrasp.data.memory import estimate_bytes as estimate_bytes
 from torchgrasp.data.priorities import Priority as Priority
@@ -19,3 +17,5 @@ from torchgrasp.data.shares import anneal_shares as anneal_shares
 from torchgrasp.data.shares import split_batch as split_batch
 from torchgrasp.data.storage import MixtureStorage as MixtureStorage
 from torchgrasp.data.writer import MixtureWriter as MixtureWriter
+from torchgrasp.episodes import label_episode_success as label_episode_success
+from torchgrasp.episodes import split_episodes as split_episodes

@@ -12,10 +12,11 @@ from torch import Tensor
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs.transforms import Compose, Transform
 
+from torchgrasp import keys
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.memory import check_space, count_row_bytes
 from torchgrasp.data.priorities import Priority
-from torchgrasp.data.sampler import SOURCE, MixtureSampler
+from torchgrasp.data.sampler import MixtureSampler
 from torchgrasp.data.shares import check_shares
 from torchgrasp.data.storage import SUCCESSOR, MixtureStorage, keep_batch
 from torchgrasp.data.writer import MixtureWriter
@@ -79,9 +80,11 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
             row_bytes = count_row_bytes(row, prioritised=self._prioritised)
             check_space(sum(capacities.values()), row_bytes, folder=folder)
         codec = codec or CompactTransitions()
+        storage = MixtureStorage(capacities, folder=folder, next_keys=codec.observation_keys)
+        ordered = {name: shares[name] for name in capacities}
         super().__init__(
-            storage=MixtureStorage(capacities, folder=folder, next_keys=codec.observation_keys),
-            sampler=MixtureSampler({name: shares[name] for name in capacities}, priority=priority),
+            storage=storage,
+            sampler=MixtureSampler(ordered, priority=priority, spans=storage.spans),
             writer=MixtureWriter(),
             collate_fn=keep_batch,
             transform=Compose(*(t for t in (codec, transform) if t is not None)),  # pyright: ignore
@@ -98,8 +101,21 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
         source: str | None = None,
         update_priority: bool | None = None,
     ) -> Tensor:
-        """Add trajectories (*, T) to `source` (the one they name, else the first); returns row indices."""
+        """Add trajectories (*, T) to `source` (the one they name, else the first); returns row indices.
+
+        Trajectories without a step add nothing. Their rows get the priority of new rows: errors
+        handed in with them are not taken up.
+        """
+        if isinstance(tensordicts, TensorDictBase) and 0 in tensordicts.shape:
+            return torch.zeros(0, dtype=torch.int64)
         return super().extend(self._tag(tensordicts, source), update_priority=update_priority)
+
+    def add(self, data: TensorDictBase) -> int:
+        """Refused: a step alone has no successor from which its next state could be read."""
+        raise ConfigError(
+            f"add was given data of batch size {tuple(data.shape)}: give trajectories (*, T), time last, to "
+            "extend; one step alone as `step.unsqueeze(-1)`."
+        )
 
     def extend_rows(self, rows: TensorDictBase, *, source: str) -> Tensor:
         """Add `rows` (R) that the codec has encoded, such as a demonstration file's."""
@@ -111,7 +127,7 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
         if source not in self.sources:
             raise ConfigError(f"source={source!r} is none of the buffer's {self.sources}.")
         number = torch.tensor(self.sources.index(source), device=data.device)
-        return data.copy().set(SOURCE, number.expand(*data.shape, 1))
+        return data.copy().set(keys.SOURCE, number.expand(*data.shape, 1))
 
     @property
     def _mixture(self) -> MixtureSampler:
@@ -140,7 +156,10 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
         return self._mixture.num_rows()
 
     def num_bytes(self) -> int:
-        """Bytes that the rows take which are stored now, sampler included."""
+        """Bytes that the rows take which are stored now, sampler included.
+
+        `estimate_bytes` tells beforehand what a full buffer takes.
+        """
         storage = cast(MixtureStorage, self._storage)
         filled = [storage.offsets[name] for name, count in storage.num_rows().items() if count]
         if not filled:

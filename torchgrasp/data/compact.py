@@ -11,14 +11,15 @@ from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
 from torchgrasp.data.encodings import CloudEncoding, Encoding, ImageEncoding, PlainEncoding
-from torchgrasp.data.episodes import get_mask, label_episode_success
-from torchgrasp.data.sampler import SOURCE, STUB
+from torchgrasp.data.sampler import STUB
+from torchgrasp.episodes import check_trajectories, find_links, label_episode_success
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE, gripper_control_points
+from torchgrasp.geometry import ACTION_SIZE, NO_GOAL, gripper_control_points
 
-_NO_GOAL = (0.0,) * (GOAL_SIZE - 1) + (1.0,)
 _FLAGS = (keys.HAS_EXPERT, keys.HAS_GOAL, keys.PERTURBED)
 _OUTCOMES = ("reward", "terminated", "done")
+# Labels that are told anew in each next state.
+_GOAL_LABELS = (keys.GOAL, keys.HAS_GOAL)
 
 
 class CompactTransitions(Transform):
@@ -41,7 +42,7 @@ class CompactTransitions(Transform):
         image_channels: keeps pictures (*, T, C, H, W) as `ImageEncoding` does: their planes by letters,
             as CameraImage names them. None where there are none.
         state_keys: further observations, with next values, as they are; of labels such as the goal too.
-        extra_keys: further keys to keep as they are, without next values.
+        extra_keys: further keys to keep as they are, without next values; what is stored anyway may be named.
 
     >>> from tensordict import TensorDict
     >>> codec = CompactTransitions(points_key=None, image_channels="d", state_keys=())
@@ -72,7 +73,9 @@ class CompactTransitions(Transform):
         self._encodings |= {_as_key(key): PlainEncoding() for key in state_keys}
         if not self._encodings:
             raise ConfigError("CompactTransitions stores no observation: give points_key or image_channels.")
-        self._extra_keys = tuple(map(_as_key, extra_keys))
+        stored = {*self._encodings, keys.ACTION, *default_labels(), *_OUTCOMES}
+        stored |= {keys.EPISODE_SUCCESS, keys.SOURCE}
+        self._extra_keys = tuple(key for key in map(_as_key, extra_keys) if key not in stored)
 
     @property
     def observation_keys(self) -> tuple[NestedKey, ...]:
@@ -88,8 +91,9 @@ class CompactTransitions(Transform):
 
     def encode(self, trajectories: TensorDictBase) -> TensorDict:
         """Trajectories (*, T) to rows (R), each trajectory in order of time, stubs included."""
+        check_trajectories(trajectories)
         steps = trajectories.reshape(-1, trajectories.shape[-1])
-        valid, linked = _find_links(steps)
+        valid, linked = find_links(steps)
         terminated = steps["next", "terminated"].squeeze(-1)
         needs_stub = valid & ~terminated & ~linked
         flat = steps.reshape(-1)
@@ -101,8 +105,13 @@ class CompactTransitions(Transform):
             rows[key] = encoding.encode(_read(flat, key)[step])
             if bool(stub.any()):
                 rows[key][stub] = encoding.encode(_read(flat["next"], key, after_cut=True)[step[stub]])
+        # What a stub holds is told of the next state.
+        for key in _GOAL_LABELS:
+            told = flat.get(("next", key), None)
+            if told is not None:
+                rows[key][stub] = told.reshape(steps.numel(), -1)[step[stub]]
         for key in self._extra_keys:
-            rows[key] = flat[key][step]
+            rows[key] = _read(flat, key)[step]
         return rows.set(STUB, stub.unsqueeze(-1))
 
     def _labels(self, steps: TensorDictBase) -> dict[NestedKey, Tensor]:
@@ -115,16 +124,29 @@ class CompactTransitions(Transform):
         if steps.get(keys.EPISODE_SUCCESS, None) is None:
             steps = label_episode_success(steps.copy())
         labels[keys.EPISODE_SUCCESS] = steps[keys.EPISODE_SUCCESS]
-        labels[SOURCE] = _get_or(steps, SOURCE, torch.zeros(*shape, 1, dtype=torch.int64))
+        labels[keys.SOURCE] = _get_or(steps, keys.SOURCE, torch.zeros(*shape, 1, dtype=torch.int64))
         return labels
 
-    def example_row(self, shapes: Mapping[NestedKey, Sequence[int]]) -> TensorDict:
+    def example_row(
+        self,
+        shapes: Mapping[NestedKey, Sequence[int]],
+        *,
+        dtypes: Mapping[NestedKey, torch.dtype] | None = None,
+    ) -> TensorDict:
         """A row (1) of zeros, by which to tell what rows of such observations take.
 
         Args:
-            shapes: of each observation that is stored, float32, as an environment of one world gives it.
+            shapes: of each observation and each of `extra_keys`, as an environment of one world gives it.
+            dtypes: of those that are not float32.
         """
-        state = TensorDict({key: torch.zeros(1, *shapes[key]) for key in self._encodings}, [1])
+        kept, dtypes = (*self._encodings, *self._extra_keys), dtypes or {}
+        if absent := [key for key in kept if key not in shapes]:
+            raise ConfigError(
+                f"The shapes of {absent} are missing, which CompactTransitions stores: give them as well, or "
+                "leave these out of state_keys and extra_keys (replay.codec)."
+            )
+        zeros = {key: torch.zeros(1, *shapes[key], dtype=dtypes.get(key, torch.float32)) for key in kept}
+        state = TensorDict(zeros, [1])
         if self.points_key is not None and self.gripper_points:
             tail = gripper_control_points()
             state[self.points_key][..., -len(tail) :, :3] = tail
@@ -150,7 +172,7 @@ class CompactTransitions(Transform):
 def default_labels() -> dict[NestedKey, Tensor]:
     """Each label of a row, of its shape and type, as it is stored where the data lack it."""
     labels: dict[NestedKey, Tensor] = {keys.EXPERT_ACTION: torch.zeros(ACTION_SIZE)}
-    labels[keys.GOAL] = torch.tensor(_NO_GOAL)
+    labels[keys.GOAL] = torch.tensor(NO_GOAL)
     return labels | {key: torch.zeros(1, dtype=torch.bool) for key in _FLAGS}
 
 
@@ -173,19 +195,6 @@ def _read(steps: TensorDictBase, key: NestedKey, *, after_cut: bool = False) -> 
 def _get_or(steps: TensorDictBase, key: NestedKey, default: Tensor) -> Tensor:
     value = steps.get(key, None)
     return default.to(steps["next", "done"].device) if value is None else value
-
-
-def _find_links(steps: TensorDictBase) -> tuple[Tensor, Tensor]:
-    """(B, T) bool twice: which steps are real, and whose next state is the state of the step after."""
-    done = steps["next", "done"].squeeze(-1)
-    valid = get_mask(steps)
-    same = ~done[:, :-1] & valid[:, :-1] & valid[:, 1:]
-    for key in (("collector", "traj_ids"), "traj_ids", keys.EPISODE, SOURCE):
-        number = steps.get(key, None)
-        if number is not None:
-            number = number.reshape(done.shape)
-            same = same & (number[:, 1:] == number[:, :-1])
-    return valid, torch.cat((same, torch.zeros_like(done[:, :1])), dim=1)
 
 
 def _order_rows(valid: Tensor, needs_stub: Tensor) -> tuple[Tensor, Tensor]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from tensordict import NestedKey
 from torch import Tensor
@@ -11,6 +13,7 @@ from torchgrasp.geometry import gripper_control_points
 
 _NUM_GRIPPER_POINTS = len(gripper_control_points())
 _LETTERS = "rgbdm"
+_LARGEST = torch.finfo(torch.float16).max
 
 
 class PlainEncoding:
@@ -40,16 +43,15 @@ class CloudEncoding:
         self._key, self._gripper_points = key, gripper_points
 
     def encode(self, values: Tensor) -> Tensor:
-        """(R, N + 6, 4) float32 to (R, N, 3) float16; or (R, N, C) to the same in float16."""
+        """(R, N + 6, 4) of any floating type to (R, N, 3) float16; or (R, N, C) to the same in float16."""
         if not self._gripper_points:
-            return values.half()
+            return _to_half(values, self._key)
         self._check(values)
-        # Made contiguous first: torch converts strided values one by one.
-        return values[..., :-_NUM_GRIPPER_POINTS, :3].contiguous().half()
+        return _to_half(values[..., :-_NUM_GRIPPER_POINTS, :3], self._key)
 
     def _check(self, points: Tensor) -> None:
         tail = points[..., -_NUM_GRIPPER_POINTS:, :3]
-        expected = gripper_control_points(device=points.device)
+        expected = gripper_control_points().to(tail)
         fits = points.shape[-1] == 4 and tail.shape[-2:] == expected.shape
         if not fits or not torch.allclose(tail, expected.expand_as(tail), atol=1e-4):
             raise ConfigError(
@@ -113,7 +115,7 @@ class ImageEncoding:
             )
         parts = [(planes * 255.0).round().to(torch.uint8)]
         if self._depth:
-            depth = values[..., self._depth[0], :, :].half().contiguous()
+            depth = _to_half(values[..., self._depth[0], :, :], self._key)
             parts.append(depth.view(torch.uint8).reshape(*depth.shape[:-2], 2, *depth.shape[-2:]))
         return torch.cat(parts, dim=-3)
 
@@ -127,6 +129,19 @@ class ImageEncoding:
             depth = stored[..., count:, :, :].contiguous().reshape(*batch, height, 2 * width)
             image[..., self._depth[0], :, :] = depth.view(torch.float16).float()
         return image
+
+
+def _to_half(values: Tensor, key: NestedKey) -> Tensor:
+    """`values` (*) as contiguous float16; ConfigError where one is too large for it, or no number."""
+    # Made contiguous first: torch converts strided values one by one.
+    half = values.contiguous().half()
+    low, high = half.aminmax() if half.numel() else (half.new_zeros(()), half.new_zeros(()))
+    if not (float(low) > -math.inf and float(high) < math.inf):
+        raise ConfigError(
+            f"{key!r} holds values that are NaN, infinite, or beyond the {_LARGEST:.0f} of float16: give "
+            "metres, 0 where a camera sees nothing, or keep the key as it is by state_keys."
+        )
+    return half
 
 
 Encoding = PlainEncoding | CloudEncoding | ImageEncoding

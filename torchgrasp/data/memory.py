@@ -15,7 +15,7 @@ from torchgrasp.geometry import gripper_control_points
 
 # Where a row's successor is; its place in the list of draws, and the list.
 _INDICES = 3 * 8
-# A float64 weight, and its share of the sums above it.
+# A float64 weight, and the most that the sums above it take of a 128th of that each.
 _WEIGHT = 9
 
 

@@ -48,6 +48,9 @@ class PriorityPool(IndexPool):
     A row that is added, or added again because it was overwritten, gets the largest weight that any
     row of the pool has had, 1 at first, so that it is drawn soon.
 
+    Args:
+        span: the row numbers that may come; any from 0 on if None.
+
     >>> pool = PriorityPool()
     >>> pool.add(torch.tensor([4, 7]))
     >>> pool.set_weights(torch.tensor([7]), torch.tensor([3.0]))
@@ -55,10 +58,13 @@ class PriorityPool(IndexPool):
     tensor([0.5000, 1.5000], dtype=torch.float64)
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._tree = SumTree()
+    def __init__(self, span: range | None = None) -> None:
+        super().__init__(span)
+        self._tree = self._make_tree()
         self.largest: float | None = None
+
+    def _make_tree(self) -> SumTree:
+        return SumTree(None if self._span is None else len(self._span))
 
     @property
     def weights(self) -> Tensor:
@@ -69,7 +75,7 @@ class PriorityPool(IndexPool):
         """Insert distinct `rows` (k) int64, those already in as well, with the largest weight."""
         super().add(rows)
         largest = 1.0 if self.largest is None else self.largest
-        self._tree.set(self._place[rows], torch.full(rows.shape, largest, dtype=torch.float64))
+        self._tree.set(self._find(rows), torch.full(rows.shape, largest, dtype=torch.float64))
 
     def _move(self, sources: Tensor, places: Tensor, removed: range) -> None:
         self._tree.set(places, self._tree.get(sources))
@@ -78,27 +84,28 @@ class PriorityPool(IndexPool):
 
     def draw(self, num_rows: int, generator: torch.Generator | None) -> Tensor:
         """(num_rows) int64 members, one from each of as many equal slices of the weights (App. B.2.1)."""
+        if not num_rows:
+            return self._rows[:0]
         shift = torch.rand(num_rows, generator=generator, dtype=torch.float64)
         masses = (torch.arange(num_rows) + shift) * (self._tree.total / num_rows)
         return self._rows[self._tree.find(masses)]
 
     def relative(self, rows: Tensor) -> Tensor:
         """(k) float64: how often each of the members `rows` is drawn, relative to a uniform draw: N P(i)."""
-        return self._tree.get(self._place[rows]) * (len(self) / self._tree.total)
+        return self._tree.get(self._find(rows)) * (len(self) / self._tree.total)
 
     def set_weights(self, rows: Tensor, weights: Tensor) -> None:
         """Set the weights (k) of `rows` (k); those not in, such as stubs written since, are passed over."""
-        known = rows < self._place.numel()
-        known[known.clone()] = self._place[rows[known]] >= 0
+        known = self._is_in(rows)
         rows, weights = rows[known], weights[known]
         if rows.numel():
-            self._tree.set(self._place[rows], weights)
+            self._tree.set(self._find(rows), weights)
             largest = float(weights.max())
             self.largest = largest if self.largest is None else max(self.largest, largest)
 
     def load(self, members: Tensor, weights: Tensor | None = None) -> None:
         """Replace the pool by `members` with their weights (n); the largest of all if None."""
-        self._tree = SumTree()
+        self._tree = self._make_tree()
         super().load(members)
         if weights is not None:
             self._tree.set(torch.arange(len(self)), weights)

@@ -14,12 +14,12 @@ from torch import Tensor
 from torchrl.data.replay_buffers.samplers import PrioritizedSampler, Sampler
 from torchrl.data.replay_buffers.storages import Storage
 
+from torchgrasp import keys
 from torchgrasp.data.index_pool import IndexPool
 from torchgrasp.data.priorities import Priority, PriorityPool
 from torchgrasp.data.shares import check_shares, split_batch
 from torchgrasp.errors import ConfigError, check_range
 
-SOURCE = "source"
 STUB = "stub"
 # What of the state is written as tensors.
 _TENSORS = ("rows", "weights")
@@ -47,6 +47,8 @@ class MixtureSampler(Sampler):
         priority: prefers rows of large errors (Schaul et al. 2016); uniform if None.
         source_key: where a row's source number stands.
         skip_key: where a row says that it is no transition.
+        spans: source name -> the row numbers that its rows have, such as `MixtureStorage.spans`: what is
+            kept for a row takes no more memory than those need. Any numbers if None.
 
     >>> from tensordict import TensorDict
     >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -71,8 +73,9 @@ class MixtureSampler(Sampler):
         shares: Mapping[str, float],
         *,
         priority: Priority | None = None,
-        source_key: NestedKey = SOURCE,
+        source_key: NestedKey = keys.SOURCE,
         skip_key: NestedKey = STUB,
+        spans: Mapping[str, range] | None = None,
     ) -> None:
         super().__init__()
         self._shares = check_shares(shares)
@@ -80,6 +83,9 @@ class MixtureSampler(Sampler):
         self._beta = 0.0 if priority is None else priority.beta
         self._source_key = source_key
         self._skip_key = skip_key
+        if spans is not None and set(spans) != set(self._shares):
+            raise ConfigError(f"spans of {list(spans)} were given for the sources {list(self._shares)}.")
+        self._spans = dict.fromkeys(self._shares) if spans is None else dict(spans)
         self._empty()
 
     @property
@@ -117,7 +123,7 @@ class MixtureSampler(Sampler):
                 "Extend the buffer first, with data of a source whose share is above 0."
             )
         counts = split_batch(batch_size, filled)
-        rows = {name: self._pools[name].draw(count, self._rng) for name, count in counts.items()}
+        rows = {name: self._pools[name].draw(count, self._rng) for name, count in counts.items() if count}
         return torch.cat([*rows.values()]), self._weigh(rows)
 
     def _weigh(self, rows: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -175,7 +181,7 @@ class MixtureSampler(Sampler):
 
     def _empty(self) -> None:
         make = IndexPool if self._priority is None else PriorityPool
-        self._pools: dict[str, IndexPool] = {name: make() for name in self._shares}
+        self._pools: dict[str, IndexPool] = {name: make(self._spans[name]) for name in self._shares}
 
     def state_dict(self) -> dict[str, Any]:
         """Shares, and the drawable rows of each source in their order, so that draws repeat.
@@ -208,12 +214,16 @@ class MixtureSampler(Sampler):
             self._beta = state_dict["beta"]
 
     def dumps(self, path: str | Path) -> None:
-        """Write `state_dict` into the folder `path`."""
+        """Write `state_dict` into the folder `path`, over what another sampler has left there."""
         folder = Path(path)
         folder.mkdir(parents=True, exist_ok=True)
         state = self.state_dict()
-        for name in set(_TENSORS) & set(state):
-            save_file(state.pop(name), folder / f"{name}.safetensors")
+        for name in _TENSORS:
+            file = folder / f"{name}.safetensors"
+            if name in state:
+                save_file(state.pop(name), file)
+            else:
+                file.unlink(missing_ok=True)
         (folder / "sampler.json").write_text(json.dumps(state))
 
     def loads(self, path: str | Path) -> None:

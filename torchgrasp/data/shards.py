@@ -16,7 +16,7 @@ from torchgrasp import keys
 from torchgrasp.data.card import COUNTS, FORMAT, add_to_card, begin_demonstrations, read_card, write_card
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.files import check_file, describe_file, read_sealed_json, replace_folder, seal_json
-from torchgrasp.data.sampler import SOURCE, STUB
+from torchgrasp.data.sampler import STUB
 from torchgrasp.errors import CheckpointError, ConfigError
 
 _SHARD, _ROWS = "shard.json", "rows"
@@ -119,7 +119,7 @@ def _write_rows(folder: Path, episodes: Sequence[TensorDictBase]) -> dict[str, i
     """Write the rows of all episodes into the folder; returns what was counted in them."""
     if not episodes:
         return dict.fromkeys(COUNTS, 0)
-    rows = torch.cat(list(episodes)).exclude(SOURCE)  # pyright: ignore
+    rows = torch.cat(list(episodes)).exclude(keys.SOURCE)  # pyright: ignore
     rows.memmap(str(folder / _ROWS))
     step = ~rows[STUB]
     flags = (keys.EPISODE_SUCCESS, keys.PERTURBED, keys.HAS_EXPERT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -16,6 +17,8 @@ from torchgrasp.data.memory import check_space, count_row_bytes
 from torchgrasp.errors import ConfigError
 
 SUCCESSOR = "successor"
+# The file by which tensordict knows a folder of its own.
+_MEMMAP = "meta.json"
 
 
 class MixtureStorage(Storage):
@@ -67,6 +70,11 @@ class MixtureStorage(Storage):
         if self._folder is None:
             return LazyTensorStorage(self.capacities[name])
         return LazyMemmapStorage(self.capacities[name], scratch_dir=self._folder / name, existsok=True)
+
+    @property
+    def spans(self) -> dict[str, range]:
+        """The flat indices of each source."""
+        return {name: range(start, start + self.capacities[name]) for name, start in self.offsets.items()}
 
     def num_rows(self) -> dict[str, int]:
         """Rows that each source holds, those that are no transitions included."""
@@ -199,6 +207,8 @@ class MixtureStorage(Storage):
         for name, region in self._regions.items():
             if len(region):
                 region.get(slice(None)).memmap(Path(path) / name, copy_existing=True)
+            elif (Path(path) / name / _MEMMAP).exists():  # of another buffer, that had rows of this source
+                shutil.rmtree(Path(path) / name)
 
     def loads(self, path: str | Path) -> None:
         """Read what `dumps` wrote."""

@@ -14,14 +14,18 @@ class SumTree:
 
     A change sums anew the blocks that it lies in, so that no error adds up, however long it is used.
 
+    Args:
+        capacity: the most weights that will come, for which there is room at once; room grows by doubling
+            where it is None, or more come.
+
     >>> tree = SumTree()
     >>> tree.set(torch.tensor([0, 1, 2]), torch.tensor([1.0, 0.0, 3.0]))
     >>> tree.total, tree.find(torch.tensor([0.5, 1.0, 3.9]))
     (4.0, tensor([0, 2, 2]))
     """
 
-    def __init__(self) -> None:
-        self._levels = [torch.zeros(_FAN, dtype=torch.float64)]
+    def __init__(self, capacity: int | None = None) -> None:
+        self._build(torch.zeros(0, dtype=torch.float64), capacity or _FAN)
 
     @property
     def total(self) -> float:
@@ -62,10 +66,12 @@ class SumTree:
 
     def _reserve(self, num_places: int) -> None:
         size = self._levels[0].numel()
-        if num_places <= size:
-            return
-        leaves = self._levels[0]
-        self._levels = [_pad(leaves, max(num_places, 2 * size))]
+        if num_places > size:
+            self._build(self._levels[0], max(num_places, 2 * size))
+
+    def _build(self, leaves: Tensor, size: int) -> None:
+        """Room for `size` weights, of which `leaves` are the first."""
+        self._levels = [_pad(leaves, size)]
         while (below := self._levels[-1]).numel() > _FAN:
             sums = below.view(-1, _FAN).sum(dim=-1)
             self._levels.append(_pad(sums, sums.numel()))

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 from torchrl.data.replay_buffers.writers import Writer
 
-from torchgrasp.data.sampler import SOURCE
+from torchgrasp import keys
 from torchgrasp.data.storage import MixtureStorage
 from torchgrasp.errors import ConfigError
 
@@ -26,7 +26,7 @@ class MixtureWriter(Writer):
 
     _storage: Any
 
-    def __init__(self, *, source_key: NestedKey = SOURCE) -> None:
+    def __init__(self, *, source_key: NestedKey = keys.SOURCE) -> None:
         super().__init__()
         self._source_key = source_key
         self._cursors: dict[str, int] = {}

@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import GOAL_SIZE, invert_pose, pose_to_goal
+from torchgrasp.geometry import GOAL_SIZE, NO_GOAL, invert_pose, pose_to_goal
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.funnel_planner import FunnelPlanner
 from torchgrasp.planning.goals import pose_distances
@@ -222,7 +222,8 @@ class ExpertPolicy(TensorDictModuleBase):
         T_ee_base = invert_pose(torch.from_numpy(T_base_ee))
         valid = torch.from_numpy(has_goal)[:, None]
         action = torch.from_numpy(label) * valid
-        goal = pose_to_goal(T_ee_base @ torch.from_numpy(goals)) * valid
+        goal = pose_to_goal(T_ee_base @ torch.from_numpy(goals))
+        goal = torch.where(valid, goal, goal.new_tensor(NO_GOAL))
         action = action.float().reshape(*batch, self.actions.size).to(device)
         valid = valid.reshape(*batch, 1).to(device)
         tensordict.set(keys.EXPERT_ACTION, action)

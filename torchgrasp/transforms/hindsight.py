@@ -8,10 +8,9 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
-from torchgrasp.data.compact import default_labels
-from torchgrasp.data.episodes import find_outcomes
+from torchgrasp.episodes import find_outcomes
 from torchgrasp.errors import ConfigError
-from torchgrasp.geometry import invert_pose, pose_to_goal
+from torchgrasp.geometry import NO_GOAL, invert_pose, pose_to_goal
 
 
 class HindsightGoal(Transform):
@@ -85,7 +84,7 @@ class HindsightGoal(Transform):
         goal = pose_to_goal(invert_pose(states[keys.T_BASE_EE]) @ T_base_reached)
         old, known = (states.get(key, None) for key in (keys.GOAL, keys.HAS_GOAL))
         has_goal = success[..., None]
-        goal = torch.where(has_goal, goal, default_labels()[keys.GOAL].to(goal))
+        goal = torch.where(has_goal, goal, goal.new_tensor(NO_GOAL))
         if self._keep and old is not None and known is not None:
             goal, has_goal = torch.where(known, old, goal), known | has_goal
         states.set(keys.GOAL, goal).set(keys.HAS_GOAL, has_goal)
