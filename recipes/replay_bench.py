@@ -129,7 +129,7 @@ def _make_episodes(episodes: int, horizon: int, generator: torch.Generator) -> T
 
 def _time_draws(buffer: MixtureReplayBuffer, draws: int) -> dict:
     """Milliseconds of a batch, and of handing its errors back, by priority and uniformly."""
-    prioritised, uniform = buffer.sampler, MixtureSampler(_SHARES, spans=buffer.storage.spans)
+    prioritised, uniform = buffer.sampler, MixtureSampler(_SHARES)
     state = prioritised.state_dict()
     uniform.load_state_dict({"shares": state["shares"], "rows": state["rows"]})
     row = _time_sampler("prioritised", buffer, draws)
