@@ -14,21 +14,19 @@ from torchgrasp.errors import RenderError
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.appearance import Appearance
 from torchgrasp.sim.camera import CameraIntrinsics
-from torchgrasp.sim.panda_pose import ARM_SIZES, HAND_SIZES, half_extents
+from torchgrasp.sim.parts import FLOOR, Part, furniture, robot_parts
 from torchgrasp.sim.probe import REMEDY
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
-from torchgrasp.sim.visuals import Visual, box_visual, capsule_visual, mesh_visual, rectangle_visual
+from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 
 # Shaders of SAPIEN: "default" lights and shades; "trivial" gives positions and identities only.
 _SHADERS = Path(sapien.__file__).parent / "vulkan_shader"
 _MAX_TARGETS = 32
 _MAX_TEXTURES = 48
-_FLOOR = -0.75
 # Depth to which things are drawn, metres: beyond a camera's range they are seen in colour only.
 _DRAWN = 40.0
 # Pixels of the shadow map, of which each costs time, and metres around the table that it covers.
 _SHADOW_MAP, _SHADOW_REACH = 512, 1.0
-_GREY, _DARK, _METAL = (0.55, 0.57, 0.6), (0.12, 0.12, 0.13), (0.75, 0.75, 0.78)
 
 
 class RenderScene:
@@ -50,7 +48,7 @@ class RenderScene:
         self._look: Appearance | None = None
         self._materials = {name: _matt() for name in ("target", "table", "floor")}
         self._robot_materials: list[tuple[sapien.render.RenderMaterial, NDArray]] = []
-        self._robot = [self._add_robot_shape(i) for i in range(len(ARM_SIZES) + len(HAND_SIZES))]
+        self._robot = [self._add_robot_part(part) for part in robot_parts()]
         self._table = self._add(
             rectangle_visual(TABLE_LOWER, TABLE_UPPER, repeats=1.0), self._materials["table"]
         )
@@ -160,32 +158,17 @@ class RenderScene:
         self._scene.add_entity(entity)
         return entity
 
-    def _add_robot_shape(self, index: int) -> sapien.Entity:
-        size = (*ARM_SIZES, *HAND_SIZES)[index]
-        visual = box_visual(half_extents(size)) if len(size) == 3 else capsule_visual(*size)
-        colour = np.array(_robot_colour(index))
-        material = _matt(roughness=0.5, specular=0.4)
-        self._robot_materials.append((material, colour))
-        return self._add(visual, material)
+    def _add_robot_part(self, part: Part) -> sapien.Entity:
+        material = _material(part)
+        self._robot_materials.append((material, np.array(part.colour)))
+        return self._add(part.visual, material)
 
     def _add_surroundings(self) -> None:
-        """Floor, the table's sides and legs, the robot's pedestal: seen in colour, never in depth."""
+        """Floor and furniture: seen in colour, never in depth."""
         floor = rectangle_visual(np.array((-25.0, -25.0)), np.array((25.0, 25.0)), repeats=0.5)
-        self._add(floor, self._materials["floor"]).set_pose(Pose([0.0, 0.0, _FLOOR]))
-        wood, metal = _matt(), _matt(roughness=0.6)
-        wood.set_base_color([0.33, 0.24, 0.16, 1.0])
-        metal.set_base_color([*_GREY, 1.0])
-        half, middle = (TABLE_UPPER - TABLE_LOWER) / 2, (TABLE_UPPER + TABLE_LOWER) / 2
-        # A hair below z = 0, where the top that depth knows of lies.
-        self._add(box_visual(half), wood).set_pose(Pose(middle - (0.0, 0.0, 1e-3)))
-        for x in (-1.0, 1.0):
-            for y in (-1.0, 1.0):
-                place = middle + (half - 0.06) * (x, y, 0.0)
-                place[2] = (_FLOOR + TABLE_LOWER[2]) / 2
-                leg = box_visual(np.array((0.025, 0.025, (TABLE_LOWER[2] - _FLOOR) / 2 - 1e-3)))
-                self._add(leg, metal).set_pose(Pose(place))
-        pedestal = box_visual(np.array((0.13, 0.13, -_FLOOR / 2 - 1e-3)))
-        self._add(pedestal, metal).set_pose(Pose([-0.04, 0.0, _FLOOR / 2]))
+        self._add(floor, self._materials["floor"]).set_pose(Pose([0.0, 0.0, FLOOR]))
+        for part in furniture():
+            self._add(part.visual, _material(part)).set_pose(Pose(list(part.position)))
 
     def _add_light(self, *, shadow: bool) -> sapien.render.RenderDirectionalLightComponent:
         light = sapien.render.RenderDirectionalLightComponent()
@@ -223,11 +206,10 @@ def _matt(*, roughness: float = 0.9, specular: float = 0.1) -> sapien.render.Ren
     return sapien.render.RenderMaterial(roughness=roughness, specular=specular)
 
 
-def _robot_colour(index: int) -> tuple[float, float, float]:
-    """White links, dark joints of the elbow and wrist, a dark hand with metal fingers."""
-    if index < len(ARM_SIZES):
-        return (0.9, 0.9, 0.92) if index % 2 else (0.72, 0.74, 0.77)
-    return _DARK if index == len(ARM_SIZES) else _METAL
+def _material(part: Part) -> sapien.render.RenderMaterial:
+    material = _matt(roughness=part.roughness, specular=part.specular)
+    material.set_base_color([*part.colour, 1.0])
+    return material
 
 
 def _entity(visual: Visual, material: sapien.render.RenderMaterial) -> sapien.Entity:

@@ -42,13 +42,26 @@ def draw_cloud(
         low, high = seen[:, 2].min(), seen[:, 2].max()
         near = 1.0 - 0.6 * (seen[:, 2] - low) / max(high - low, 1e-6)
         _dots(picture, seen, intrinsics, (_TARGET * near[:, None]).astype(np.uint8), radius=2)
-    hand = gripper_control_points().numpy() @ T_camera_ee[:3, :3].T + T_camera_ee[:3, 3]
-    middle = (hand[2] + hand[3]) / 2
-    ends = [(hand[a], hand[b]) for a, b in _HAND_LINES] + [(hand[0], middle)]
+    ends = hand_lines() @ T_camera_ee[:3, :3].T + T_camera_ee[:3, 3]
     along = np.linspace(0.0, 1.0, 80)[:, None]
     lines = np.concatenate([start + along * (end - start) for start, end in ends])
     _dots(picture, lines, intrinsics, np.broadcast_to(_HAND, lines.shape), radius=3)
     return picture
+
+
+def observed_points(cloud: np.ndarray) -> np.ndarray:
+    """(M, 3) of a cloud's (N, C) rows without gripper points (flag 1) and rows filled in (zeros)."""
+    seen = cloud[:, :3].any(axis=-1)
+    if cloud.shape[-1] > 3:
+        seen &= cloud[:, 3] == 0
+    return cloud[seen, :3]
+
+
+def hand_lines() -> np.ndarray:
+    """(4, 2, 3) ends of the lines that stand for the gripper, metres in the ee frame, by X_g of Eq. (2)."""
+    hand = gripper_control_points().numpy()
+    ends = [(hand[a], hand[b]) for a, b in _HAND_LINES] + [(hand[0], (hand[2] + hand[3]) / 2)]
+    return np.array(ends)
 
 
 def _dots(

@@ -16,7 +16,7 @@ from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera, RenderCamera, View, look_at, probe_renderer
 from torchgrasp.sim.kinematics import forward_kinematics
-from torchgrasp.training.drawing import draw_cloud, enlarge, shade_depth, write_caption
+from torchgrasp.training.drawing import draw_cloud, enlarge, observed_points, shade_depth, write_caption
 
 # A control step lasts 0.15 s.
 REAL_TIME = 1 / 0.15
@@ -111,10 +111,8 @@ class EpisodeFilm:
         """The wrist camera's picture and, where there is one, the cloud."""
         panels = [enlarge(self._wrist(state), self._size)]
         if state.get(keys.POINTS, None) is not None:
-            cloud = _array(state, keys.POINTS)
-            seen = cloud[:, :3].any(axis=-1)
-            seen &= cloud[:, 3] == 0 if cloud.shape[-1] > 3 else True
-            panels.append(draw_cloud(cloud[seen, :3], _array(state, keys.T_BASE_EE), T_base_near, self._lens))
+            points = observed_points(_array(state, keys.POINTS))
+            panels.append(draw_cloud(points, _array(state, keys.T_BASE_EE), T_base_near, self._lens))
         return np.hstack(panels)
 
     def _wrist(self, state: TensorDictBase) -> np.ndarray:

@@ -1,0 +1,80 @@
+"""Episodes live in the browser: recipes/view.py policy=expert, or a run directory, as for evaluate.py."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import common
+import hydra
+import policies
+import settings
+from hydra.utils import instantiate
+from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import TransformedEnv
+
+from torchgrasp.envs import GraspEnv
+from torchgrasp.errors import ConfigError
+from torchgrasp.training import EpisodePool, SuccessTable, one_line_errors
+from torchgrasp.training.viewer import EpisodeViewer
+from torchgrasp.training.viewer_panel import Skipped
+
+
+def view(cfg: DictConfig) -> dict[str, dict]:
+    """Show `episodes` scenes, or all until ctrl-C; return each policy's success, skipped scenes left out."""
+    endless = cfg.episodes is None
+    finite: Any = OmegaConf.merge(cfg, {"episodes": 1}) if endless else cfg
+    cfg = settings.for_evaluation(finite)
+    if cfg.evaluation.num_envs != 1:
+        raise ConfigError(f"evaluation.num_envs={cfg.evaluation.num_envs}: the page shows one world, give 1.")
+    names = list(dict.fromkeys((str(cfg.policy), "expert", "random")))
+    playing = {name: common.for_workers(policies.make_policy(cfg, name)) for name in names}
+    env = common.make_env(cfg, "test")
+    tables = {name: SuccessTable() for name in names}
+    period = instantiate(cfg.env.physics).control_period
+    page = {"host": cfg.host, "port": cfg.port, "speed": cfg.speed, "step_seconds": period}
+    with EpisodeViewer(policies=names, **page) as viewer:
+        print(f"Open {viewer.address} in a browser; ctrl-C ends.", flush=True)
+        try:
+            common.prepare_objects(cfg, "test")
+            play(viewer, env, playing, tables, itertools.count() if endless else range(cfg.episodes))
+        except KeyboardInterrupt:
+            print()
+    for name, table in tables.items():
+        if table.episodes:
+            print(f"{name}: lifted {table.successes} of {table.episodes}")
+    return {name: table.summary() for name, table in tables.items() if table.episodes}
+
+
+def play(
+    viewer: EpisodeViewer,
+    env: TransformedEnv,
+    playing: Mapping[str, TensorDictModuleBase],
+    tables: Mapping[str, SuccessTable],
+    numbers: range | itertools.count,
+) -> None:
+    """Run the episodes of these numbers by whichever policy the page has chosen when they begin."""
+    base = env.base_env
+    assert isinstance(base, GraspEnv)
+    with EpisodePool({"test": lambda: env}) as pool:
+        for number in numbers:
+            name = viewer.policy
+            try:
+                ((episode,),) = pool.run("test", viewer.watch(playing[name], base), [number])
+            except Skipped:
+                continue
+            tables[name].add(episode.object_name, episode.success, cause=episode.failure)
+            viewer.show_result(name, episode, tables[name])
+
+
+@hydra.main(version_base=None, config_path="../conf", config_name="view")
+@one_line_errors()
+def main(cfg: DictConfig) -> None:
+    """Show as configured."""
+    view(cfg)
+
+
+if __name__ == "__main__":
+    main()
