@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import common
@@ -30,12 +30,13 @@ def view(cfg: DictConfig) -> dict[str, dict]:
     if cfg.evaluation.num_envs != 1:
         raise ConfigError(f"evaluation.num_envs={cfg.evaluation.num_envs}: the page shows one world, give 1.")
     names = list(dict.fromkeys((str(cfg.policy), "expert", "random")))
-    playing = {name: common.for_workers(policies.make_policy(cfg, name)) for name in names}
+    playing = {name: policies.make_policy(cfg, name).eval() for name in names}
     env = common.make_env(cfg, "test")
     tables = {name: SuccessTable() for name in names}
     period = instantiate(cfg.env.physics).control_period
-    page = {"host": cfg.host, "port": cfg.port, "speed": cfg.speed, "step_seconds": period}
-    with EpisodeViewer(policies=names, **page) as viewer:
+    with EpisodeViewer(
+        policies=names, host=cfg.host, port=cfg.port, speed=cfg.speed, step_seconds=period
+    ) as viewer:
         print(f"Open {viewer.address} in a browser; ctrl-C ends.", flush=True)
         try:
             common.prepare_objects(cfg, "test")
@@ -53,7 +54,7 @@ def play(
     env: TransformedEnv,
     playing: Mapping[str, TensorDictModuleBase],
     tables: Mapping[str, SuccessTable],
-    numbers: range | itertools.count,
+    numbers: Iterable[int],
 ) -> None:
     """Run the episodes of these numbers by whichever policy the page has chosen when they begin."""
     base = env.base_env

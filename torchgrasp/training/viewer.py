@@ -55,7 +55,7 @@ class EpisodeViewer:
         >>> with EpisodeViewer(policies=["random"], port=0, speed=10.0) as viewer:
         ...     steps = env.rollout(2, viewer.watch(RandomAction(), env))
         ...     len(viewer.scene.robot)
-        11
+        18
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class EpisodeViewer:
         self.address = f"http://{host}:{self._server.get_port()}"
         self.scene = ViewerScene(self._server)
         self.panel = ViewerPanel(self._server, policies=policies, speed=speed)
-        self._step_seconds = step_seconds
+        self._step_seconds, self._target = step_seconds, ""
 
     @property
     def policy(self) -> str:
@@ -103,6 +103,7 @@ class EpisodeViewer:
         """Draw one world's observation (no batch) and the grasps that a policy wrote beside it."""
         target = env.objects[int(state[keys.OBJECT_ID])]
         T_base_ee = state[keys.T_BASE_EE].double()
+        self._target = target.name
         self.scene.show_target(target)
         self.scene.arrange(_array(state[keys.JOINTS]), _array(state[keys.T_BASE_OBJECT]))
         cloud = state.get(keys.POINTS, None)
@@ -126,6 +127,7 @@ class EpisodeViewer:
     def _show_ending(self, env: GraspEnv, row: int) -> None:
         if row == 0:
             self.scene.arrange(env.worlds.joints[0], env.worlds.T_base_object[0])
+            self.panel.tell_state(self._target, "closing and lifting", 0.0)
             self.panel.wait(self._step_seconds)
 
     def close(self) -> None:
@@ -146,7 +148,7 @@ class _Watched(TensorDictModuleBase):
     def __init__(self, policy: TensorDictModuleBase, env: GraspEnv, viewer: EpisodeViewer) -> None:
         super().__init__()
         self.policy, self._env, self._viewer = policy, env, viewer
-        self.in_keys, self.out_keys = policy.in_keys, policy.out_keys
+        self.in_keys, self.out_keys = policy.in_keys, policy.out_keys  # pyright: ignore
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """What the policy does, shown."""

@@ -35,7 +35,7 @@ class ViewerPanel:
         # Sharing would send the page through a server of other people.
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.set_panel_label("torchgrasp")
-        self.state = gui.add_markdown("Objects are made ready.")
+        self.state = gui.add_markdown("Preparing the objects, then the first episode.")
         gui.add_markdown("Time left")
         self.time_left = gui.add_progress_bar(100.0)
         self.success = gui.add_markdown("No episode is over yet.")
@@ -43,9 +43,14 @@ class ViewerPanel:
         self.speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, speed, hint="times real time")
         self.pause = gui.add_checkbox("Pause", False)
         self.next = gui.add_button("Next episode")
+        gui.add_markdown("Blue: points observed. Green: the grasp aimed for. Magenta: the grasp predicted.")
         self._skip = threading.Event()
-        self.next.on_click(lambda _: self._skip.set())
+        self.next.on_click(lambda _: self.skip())
         self._shown = time.monotonic()
+
+    def skip(self) -> None:
+        """Ask for the next episode, from any thread, as the page's button does."""
+        self._skip.set()
 
     def wait(self, seconds: float) -> None:
         """Let `seconds` of an episode pass since the last wait at the chosen speed, and any pause.

@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 
 # Metres: of a point of the cloud, and of the lines of a grasp.
 _POINT, _LINE = 0.004, 0.004
-_TABLE_TOP, _TARGET, _CLOUD = (0.80, 0.76, 0.70), (0.92, 0.59, 0.24), (0.10, 0.35, 0.85)
-# From where a page looks at first, metres in the base frame.
-_EYE, _AIM = (1.25, -0.75, 0.7), (0.42, 0.0, 0.2)
+_TABLE_TOP, _TARGET, _CLOUD = (0.58, 0.50, 0.42), (0.92, 0.59, 0.24), (0.05, 0.25, 0.85)
+# So much of the target covers what is behind it: half of the cloud lies a hair below its surface.
+_OPACITY = 0.6
+# From where a page looks at first, metres in the base frame, and its vertical field of view, radians.
+_EYE, _AIM, _FOV = (1.25, -0.85, 0.65), (0.42, 0.0, 0.22), 0.8
 
 
 class ViewerScene:
@@ -42,6 +44,7 @@ class ViewerScene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._scene = server.scene
         server.initial_camera.position, server.initial_camera.look_at = _EYE, _AIM
+        server.initial_camera.fov = _FOV
         self._scene.add_grid("/floor", 6.0, 6.0, position=(0.0, 0.0, FLOOR), cell_size=0.25, section_size=1.0)
         top = Part(rectangle_visual(TABLE_LOWER, TABLE_UPPER, repeats=0.0), _TABLE_TOP)
         for index, part in enumerate((top, *furniture())):
@@ -67,6 +70,7 @@ class ViewerScene:
         if target.content_hash != self._shown:
             visual = mesh_visual(target.vertices, target.faces, repeats=0.0)
             self.target = self._add("/target", visual, _TARGET)
+            self.target.opacity = _OPACITY
             self._shown = target.content_hash
 
     def arrange(self, joints: np.ndarray, T_base_object: np.ndarray) -> None:
