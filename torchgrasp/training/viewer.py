@@ -127,6 +127,9 @@ class EpisodeViewer:
     def _show_ending(self, env: GraspEnv, row: int) -> None:
         if row == 0:
             self.scene.arrange(env.worlds.joints[0], env.worlds.T_base_object[0])
+            self.scene.show_cloud(np.zeros((0, 3)), np.eye(4))  # nothing is observed any longer
+            for key, colour in _GRASPS.items():
+                self.scene.show_grasp(key, None, colour)
             self.panel.tell_state(self._target, "closing and lifting", 0.0)
             self.panel.wait(self._step_seconds)
 
