@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -81,12 +81,12 @@ def observed_shapes(cfg: DictConfig) -> dict[Any, tuple[int, ...]]:
     return {key: tuple(spec[key].shape[worlds:]) for key in spec.keys(True, True)}
 
 
-def make_pool(cfg: DictConfig) -> EpisodePool:
-    """Workers that run episodes of "train" and "test"."""
+def make_pool(cfg: DictConfig, *, keep: Iterable = KEPT) -> EpisodePool:
+    """Workers that run episodes of "train" and "test" and hand the keys to `keep` over."""
     resolved: DictConfig = deepcopy(cfg)
     OmegaConf.resolve(resolved)
     envs = {split: functools.partial(make_env, resolved, split) for split in ("train", "test")}
-    return EpisodePool(envs, num_workers=cfg.collector.num_workers, keep=KEPT)
+    return EpisodePool(envs, num_workers=cfg.collector.num_workers, keep=keep)
 
 
 def prepare_objects(cfg: DictConfig, *splits: str) -> None:

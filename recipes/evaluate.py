@@ -8,6 +8,7 @@ import time
 import common
 import hydra
 import policies
+import predictions
 import reports
 import settings
 from omegaconf import DictConfig
@@ -25,16 +26,21 @@ def evaluate(cfg: DictConfig) -> dict:
     common.observed_shapes(cfg)
     name = str(cfg.policy)
     policy = policies.make_policy(cfg, name)
+    predictors = predictions.make_predictors(name) if cfg.grasp_prediction else {}
     by = {"learner_steps": reports.learner_steps} if name == "takeover" else {}
-    with common.make_pool(cfg) as pool:
+    keep = predictions.KEPT if predictors else common.KEPT
+    with common.make_pool(cfg, keep=keep) as pool:
         common.prepare_objects(cfg, "test")
         table = common.evaluate(cfg, pool, policy, name, by=by)
+        if predictors:
+            table["grasp_prediction"] = predictions.measure(cfg, pool, predictors)
     run_dir = settings.open_run(cfg, "evaluate")
     if cfg.video.episodes:
         common.record_videos(cfg, policy, run_dir / "videos")
     reports.print_comparison(cfg, {name: table})
     reports.print_failures(table)
     reports.print_learner_steps(table)
+    reports.print_grasp_prediction(table)
     print(f"Written to {run_dir}: summary.json{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,

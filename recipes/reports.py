@@ -47,6 +47,17 @@ def print_learner_steps(table: dict) -> None:
         print(f"  {_counts(name, rows[name])}")
 
 
+def print_grasp_prediction(table: dict) -> None:
+    """Table 5 for each network that predicts grasps: min / mean along the expert's trajectories."""
+    for network, errors in table.get("grasp_prediction", {}).items():
+        print(f"\nGrasp prediction of {network} along {errors['trajectories']} trajectories of the expert")
+        for reading, row in errors.items():
+            if isinstance(row, dict):
+                cells = (row["translation_m"], row["rotation_deg"], row["point_distance_m"])
+                words = [f"{cell['min']:.3f} / {cell['mean']:.3f}" for cell in cells]
+                print(f"  {reading.replace('_', ' '):26s} {words[0]} m   {words[1]} deg   {words[2]} m")
+
+
 def worst_objects(objects: dict[str, dict], at_most: int = 10) -> dict[str, dict]:
     """Those that failed at all, the lowest rate first, of equals the one tried most."""
     failed = {name: row for name, row in objects.items() if row["successes"] < row["episodes"]}
