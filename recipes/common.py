@@ -128,10 +128,12 @@ def evaluate(
     description: str,
     *,
     by: Mapping[str, Callable[[Episode], str]] | None = None,
+    watch: Callable[[Episode], None] | None = None,
 ) -> dict:
     """Success of a policy on the first `evaluation.episodes` scenes, and the steps that it took.
 
-    Each entry of `by` names the group that an episode belongs to, and adds a table of the groups.
+    Each entry of `by` names the group that an episode belongs to, and adds a table of the groups. `watch` is
+    shown every episode that counts.
     """
     table, wanted, num_steps = SuccessTable(), cfg.evaluation.episodes, 0
     groups = {name: SuccessTable() for name in by or {}}
@@ -142,6 +144,8 @@ def evaluate(
             table.add(episode.object_name, episode.success, cause=episode.failure)
             for name, group in (by or {}).items():
                 groups[name].add(group(episode), episode.success, cause=episode.failure)
+            if watch is not None:
+                watch(episode)
             num_steps += len(episode.steps)
             progress.update(success_rate=table.success_rate)
     progress.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
+import albums
 import common
 import hydra
 import policies
@@ -28,12 +29,13 @@ def evaluate(cfg: DictConfig) -> dict:
     policy = policies.make_policy(cfg, name)
     predictors = predictions.make_predictors(name) if cfg.grasp_prediction else {}
     by = {"learner_steps": reports.learner_steps} if name == "takeover" else {}
+    failed, predicted = albums.FailureAlbum(), albums.GraspAlbum()
     keep = predictions.KEPT if predictors else common.KEPT
     with common.make_pool(cfg, keep=keep) as pool:
         common.prepare_objects(cfg, "test")
-        table = common.evaluate(cfg, pool, policy, name, by=by)
+        table = common.evaluate(cfg, pool, policy, name, by=by, watch=failed.add)
         if predictors:
-            table["grasp_prediction"] = predictions.measure(cfg, pool, predictors)
+            table["grasp_prediction"] = predictions.measure(cfg, pool, predictors, predicted)
     run_dir = settings.open_run(cfg, "evaluate")
     if cfg.video.episodes:
         common.record_videos(cfg, policy, run_dir / "videos")
@@ -41,7 +43,7 @@ def evaluate(cfg: DictConfig) -> dict:
     reports.print_failures(table)
     reports.print_learner_steps(table)
     reports.print_grasp_prediction(table)
-    print(f"Written to {run_dir}: summary.json{', videos/' if cfg.video.episodes else ''}")
+    print(f"Written to {run_dir}: summary.json, report.html{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,
         "policy": name,
@@ -51,7 +53,10 @@ def evaluate(cfg: DictConfig) -> dict:
         "wall_seconds": time.monotonic() - started,
         "gradient_steps": 0,
     }
-    return write_summary(run_dir, summary)
+    summary = write_summary(run_dir, summary)
+    pictures = {"Predicted grasps": predicted.pictures} if predictors else {}
+    reports.write_page(cfg, run_dir, summary, {**pictures, "Failed episodes": failed.pictures})
+    return summary
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="evaluate")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import common
 import torch
+from albums import GraspAlbum
 from networks import load_networks, make_acting, predicts_goal, reads_goal
 from omegaconf import DictConfig
 from settings import POLICIES, weights_file
@@ -51,9 +52,12 @@ def make_predictors(name: str) -> dict[str, TensorDictModuleBase]:
 
 
 def measure(
-    cfg: DictConfig, pool: EpisodePool, predictors: dict[str, TensorDictModuleBase]
+    cfg: DictConfig, pool: EpisodePool, predictors: dict[str, TensorDictModuleBase], album: GraspAlbum
 ) -> dict[str, dict]:
-    """{network: its row of Table 5} on the evaluation's scenes, which the expert drives through."""
+    """{network: its row of Table 5} on the evaluation's scenes, which the expert drives through.
+
+    The `album` takes pictures of the first network's predictions.
+    """
     policy = GraspPredictions(common.make_expert(cfg, "test"), predictors)
     objects, tables = common.make_objects(cfg, "test"), {name: GraspPredictionTable() for name in predictors}
     for episode in _episodes(cfg, pool, policy):
@@ -66,6 +70,8 @@ def measure(
         for name, table in tables.items():
             predicted = goal_to_pose(steps[keys.GRASP_PREDICTION, name])
             table.add(predicted, goal_to_pose(steps[keys.GOAL]), known=known)
+            if name == next(iter(tables)):
+                album.add(episode.object_name, steps, predicted, known)
     return {name: table.summary() for name, table in tables.items()}
 
 

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp import keys
 from torchgrasp.training import Episode
+from torchgrasp.training.report import Picture, write_report
 
+# What stands at the head of a report, where a recipe has it.
+_HIGHLIGHTS = (
+    *("seed", "objects._target_", "objects.num_objects", "evaluation.num_objects", "camera._target_"),
+    *("env.horizon", "env.target_motion", "expert._target_", "model.encoder._target_", "num_points"),
+    *("pretrain.steps", "total_env_steps", "loss.bc_weight", "replay.online_fraction", "init"),
+)
 _BIN = 5  # steps of the learner that are counted together
 
 
@@ -56,6 +67,22 @@ def print_grasp_prediction(table: dict) -> None:
                 cells = (row["translation_m"], row["rotation_deg"], row["point_distance_m"])
                 words = [f"{cell['min']:.3f} / {cell['mean']:.3f}" for cell in cells]
                 print(f"  {reading.replace('_', ' '):26s} {words[0]} m   {words[1]} deg   {words[2]} m")
+
+
+def write_page(
+    cfg: DictConfig, run_dir: Path, summary: Mapping[str, Any], pictures: Mapping[str, Sequence[Picture]]
+) -> None:
+    """report.html of a run, headed by its recipe's name and its most telling options."""
+    chosen = {name: OmegaConf.select(cfg, name) for name in _HIGHLIGHTS}
+    config: Any = OmegaConf.to_container(cfg, resolve=True)
+    write_report(
+        run_dir,
+        summary,
+        title=f"{run_dir.resolve().parent.name} {run_dir.name}",
+        highlights={name: value for name, value in chosen.items() if value is not None},
+        config=config,
+        pictures=pictures,
+    )
 
 
 def worst_objects(objects: dict[str, dict], at_most: int = 10) -> dict[str, dict]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import albums
 import collect
 import common
 import hydra
@@ -120,7 +121,8 @@ def conclude(
     cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> dict:
     """Measure the policy beside the baselines on the same scenes; write and print summary.json."""
-    tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy")}
+    failed = albums.FailureAlbum()
+    tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy", watch=failed.add)}
     if "bc" in learner.results:
         tables["policy after imitation alone"] = learner.results["bc"]
     for name in cfg.evaluation.baselines:
@@ -138,8 +140,10 @@ def conclude(
     }
     reports.print_comparison(cfg, tables)
     minutes = learner.wall_seconds / 60
-    print(f"{minutes:.1f} minutes. In {run_dir}: summary.json, metrics.csv, weights.safetensors")
-    return write_summary(run_dir, summary)
+    print(f"{minutes:.1f} minutes. In {run_dir}: summary.json, report.html, metrics.csv, weights.safetensors")
+    summary = write_summary(run_dir, summary)
+    reports.write_page(cfg, run_dir, summary, {"Failed episodes": failed.pictures})
+    return summary
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import io
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -60,6 +59,14 @@ def plot_curves(
     return figure
 
 
+def observed_points(cloud: NDArray) -> NDArray:
+    """(M, 3) points of a network's input (N, C) that a camera saw: no gripper points, no empty rows."""
+    seen = cloud[:, :3].any(axis=-1)
+    if cloud.shape[-1] > 3:
+        seen &= cloud[:, 3] == 0
+    return cloud[seen, :3]
+
+
 def plot_grasps(
     points: NDArray, hands: Mapping[str, NDArray], *, size: tuple[float, float] = (3.4, 3.4)
 ) -> Figure:
@@ -105,11 +112,6 @@ def to_png(figure: Figure, *, dpi: int = 130) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=dpi)
     return stream.getvalue()
-
-
-def to_data_uri(png: bytes) -> str:
-    """A PNG file as an address that holds it, for <img src=...>."""
-    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def _figure(size: tuple[float, float]) -> Figure:
