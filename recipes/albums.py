@@ -27,9 +27,8 @@ class FailureAlbum:
     def add(self, episode: Episode) -> None:
         """Draw the episode if it failed and there is room."""
         if not episode.success and len(self.pictures) < _AT_MOST:
-            words = (
-                f"{episode.object_name}, scene {episode.number} of world {episode.world}: {episode.failure}"
-            )
+            scene = f"world {episode.world}, episode {episode.number}"
+            words = f"{episode.object_name}, {scene}: {episode.failure}"
             _draw(self.pictures, episode.steps["next"][-1:], {"hand at the end": np.eye(4)}, words)
 
 

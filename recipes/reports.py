@@ -73,16 +73,24 @@ def write_page(
     cfg: DictConfig, run_dir: Path, summary: Mapping[str, Any], pictures: Mapping[str, Sequence[Picture]]
 ) -> None:
     """report.html of a run, headed by its recipe's name and its most telling options."""
-    chosen = {name: OmegaConf.select(cfg, name) for name in _HIGHLIGHTS}
+    chosen = {_readable(name): OmegaConf.select(cfg, name) for name in _HIGHLIGHTS}
+    if "total_env_steps" not in cfg:  # nothing was trained on
+        chosen.pop("objects.num_objects")
     config: Any = OmegaConf.to_container(cfg, resolve=True)
     write_report(
         run_dir,
         summary,
         title=f"{run_dir.resolve().parent.name} {run_dir.name}",
-        highlights={name: value for name, value in chosen.items() if value is not None},
+        highlights={name: _readable(value) for name, value in chosen.items() if value is not None},
         config=config,
         pictures=pictures,
     )
+
+
+def _readable(value: Any) -> Any:
+    """A class by its own name, an option that names a class by what the class is for."""
+    text = str(value).removesuffix("._target_")
+    return text.rsplit(".", 1)[-1] if text.startswith("torchgrasp.") else text
 
 
 def worst_objects(objects: dict[str, dict], at_most: int = 10) -> dict[str, dict]:

@@ -55,12 +55,13 @@ def draw_interval(rate: float, low: float, high: float) -> Markup:
     )
 
 
-def make_figure(content: bytes, caption: str, *, kind: str = "png") -> Markup:
-    """A picture's file held in the page; `kind` is png or svg+xml."""
+def make_figure(content: bytes, words: str, *, kind: str = "png", caption: bool = True) -> Markup:
+    """A picture's file held in the page; `kind` is png or svg+xml; `words` stand below, or instead of it."""
     # An <img> of its own keeps the identifiers of one SVG apart from another's.
     source = f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-    words = to_markup(caption)
-    return Markup(f'<figure><img src="{source}" alt="{words}"><figcaption>{words}</figcaption></figure>')
+    text = to_markup(words)
+    below = f"<figcaption>{text}</figcaption>" if caption else ""
+    return Markup(f'<figure><img src="{source}" alt="{text}">{below}</figure>')
 
 
 def make_gallery(figures: Iterable[Markup]) -> Markup:

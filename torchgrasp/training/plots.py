@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 # Control points of X_g joined to a fork: tip, base, base, tip; and palm to the bases' middle.
 _FORK = (4, 2, 3, 5)
+_HANDS = (("#d02020", 1.6), ("#2f8f4e", 3.2), ("#9cc4ea", 5.5))  # colour, width in points
 _COLOURS = ("#1f6fb4", "#d1691c", "#2f8f4e", "#a33a6a", "#6a55a8", "#7a6a52", "#3aa0a6", "#888888")
 
 
@@ -39,7 +40,10 @@ def check_plot_tools() -> None:
 def plot_curves(
     curves: Mapping[str, LearningCurve], *, x: str, y: str, size: tuple[float, float] = (7.0, 4.2)
 ) -> Figure:
-    """Every curve's mean as a line, one standard deviation to either side shaded; `size` in inches."""
+    """Every curve's mean as a line, one standard deviation to either side shaded; `size` in inches.
+
+    Where `y` is a success rate, the axis shows all of [0, 1].
+    """
     figure = _figure(size)
     axes = figure.subplots()
     for number, (label, curve) in enumerate(curves.items()):
@@ -52,6 +56,8 @@ def plot_curves(
             axes.fill_between(curve.x, low, high, color=colour, alpha=0.2, linewidth=0)
     axes.set_xlabel(x)
     axes.set_ylabel(y)
+    if y.endswith("success_rate"):
+        axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
     axes.spines[["top", "right"]].set_visible(False)
     if len(curves) > 1 or any(curve.runs > 1 for curve in curves.values()):
@@ -70,20 +76,24 @@ def observed_points(cloud: NDArray) -> NDArray:
 def plot_grasps(
     points: NDArray, hands: Mapping[str, NDArray], *, size: tuple[float, float] = (3.4, 3.4)
 ) -> Figure:
-    """A cloud (N, 3) and hand poses (4, 4) by name, drawn as forks, in one frame, metres (Fig. 8)."""
+    """A cloud (N, 3) and hand poses (4, 4) by name, drawn as forks, in one frame, metres (Fig. 8).
+
+    At most three hands; the first is drawn thin on top of the others, so that equal ones all show.
+    """
     figure = _figure(size)
-    axes: Any = figure.add_subplot(projection="3d")
+    axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     axes.scatter(*points.T, s=2, c="#b0a48a", depthshade=True)
     drawn = [points]
-    for colour, (name, pose) in zip(("#d02020", "#2f8f4e", "#1f6fb4"), hands.items(), strict=False):
+    for (colour, width), (name, pose) in zip(_HANDS, hands.items(), strict=False):
         hand = gripper_control_points().numpy() @ pose[:3, :3].T + pose[:3, 3]
         stem = np.stack((hand[0], (hand[2] + hand[3]) / 2))
-        axes.plot(*hand[list(_FORK)].T, color=colour, linewidth=2.2, label=name)
-        axes.plot(*stem.T, color=colour, linewidth=2.2)
+        line: dict = {"color": colour, "linewidth": width, "zorder": 20 - width}
+        axes.plot(*hand[list(_FORK)].T, label=name, **line)
+        axes.plot(*stem.T, **line)
         drawn.append(hand)
     _same_scale(axes, np.concatenate(drawn))
     axes.set_axis_off()
-    axes.legend(loc="upper left", fontsize=7, frameon=False)
+    figure.legend(loc="outside lower center", ncols=len(hands), fontsize=7, frameon=False)
     return figure
 
 
@@ -93,7 +103,7 @@ def _same_scale(axes: Any, drawn: NDArray) -> None:
     middle, half = (low + high) / 2, (high - low).max() / 2 + 1e-3
     for name, centre in zip("xyz", middle, strict=True):
         getattr(axes, f"set_{name}lim")(centre - half, centre + half)
-    axes.set_box_aspect((1, 1, 1), zoom=1.35)
+    axes.set_box_aspect((1, 1, 1), zoom=1.2)
 
 
 def to_svg(figure: Figure) -> str:

@@ -85,7 +85,7 @@ def write_report(
 def _facts(summary: Mapping[str, Any], highlights: Mapping[str, Any]) -> Iterator[tuple]:
     names = ("protocol", "scenes", "learner", "episodes", "env_steps", "gradient_steps")
     for name in names:
-        if summary.get(name) is not None:
+        if summary.get(name):  # an evaluation has no gradient steps to tell of
             value = summary[name]
             yield name.replace("_", " "), f"{value:,}" if isinstance(value, int) else value
     if "wall_seconds" in summary:
@@ -137,7 +137,8 @@ def _predictions(networks: Mapping[str, Mapping[str, Any]]) -> Iterator[Markup]:
     if rows:
         head = ("network", "against", "translation (m)", "rotation (°)", "point distance (m)")
         count = next(iter(networks.values()))["trajectories"]
-        words = f"Least / mean error along a trajectory of the expert, averaged over {count} of them."
+        words = f"Least / mean error along a trajectory of the expert, averaged over {count} of them. "
+        words += "The least are reached where the hand has arrived: compare the means."
         yield make_section("Grasp prediction", make_table(head, rows), make_note(words))
 
 
@@ -155,18 +156,20 @@ def _curves(run_dir: Path) -> Iterator[Markup]:
         return
     columns = read_metrics(run_dir)
     step = columns.pop("step")
-    names = sorted(columns, key=lambda name: ("success" not in name, name))  # success first
+    names = sorted(
+        columns.keys() - {"env_steps"}, key=lambda name: ("success" not in name, name)
+    )  # success first
     figures = [_curve(name, step, columns[name]) for name in names if np.isfinite(columns[name]).sum() > 1]
     if figures:
-        yield make_section("Curves", make_gallery(figures), make_note("Over gradient steps."))
+        yield make_section("Curves", make_gallery(figures))
 
 
 def _curve(name: str, step: np.ndarray, values: np.ndarray) -> Markup:
     there = np.flatnonzero(np.isfinite(values))
     there = there[np.unique(np.linspace(0, len(there) - 1, _MAX_POINTS).round().astype(int))]
     curve = LearningCurve(step[there], values[there], np.full(len(there), np.nan), 1)
-    figure = plot_curves({name: curve}, x="step", y="", size=(3.6, 2.3))
-    return make_figure(to_svg(figure).encode(), name, kind="svg+xml")
+    figure = plot_curves({name: curve}, x="gradient step", y=name, size=(3.8, 2.5))
+    return make_figure(to_svg(figure).encode(), name, kind="svg+xml", caption=False)
 
 
 def _galleries(pictures: Mapping[str, Sequence[Picture]]) -> Iterator[Markup]:
