@@ -92,6 +92,8 @@ def test_what_the_logger_writes_is_read_and_a_cut_line_left_out(tmp_path):
         ("step,other\n1,2\n", ConfigError, "no 'rate' in metrics.csv: choose from step, other"),
         ("step,env,rate\n1,,2\n2,7,\n", ConfigError, "'rate' and 'env' never stand in one row"),
         ("step,rate\n1,2\n", ConfigError, "no 'env' in metrics.csv"),
+        ("step,env,rate\n1,5,2\n2,6,nan\n", ConfigError, "'rate' is no number from env=6 on"),
+        ("step,env,rate\n1,5,-inf\n", ConfigError, "'rate' is no number from env=5 on"),
     ],
 )
 def test_what_cannot_be_read_says_why(tmp_path, text, error, message):

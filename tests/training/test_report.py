@@ -81,8 +81,24 @@ def test_policies_stand_side_by_side(tmp_path):
     tables = {"policy": make_summary("110"), "expert": make_summary("111")}
     page = read(write_report(tmp_path, {**tables["policy"], "comparison": tables}, title="A run"))
     assert [row[:3] for row in page.rows if row[0] == "expert"] == [["expert", "3", "100.0 %"]]
-    assert ["object", "policy", "expert", "95 % interval", "", "failures"] in page.rows
+    head = ["object", "policy", "expert", "95 % interval of policy", "", "failures of policy"]
+    assert head in page.rows
     assert ["bowl", "1 of 2", "2 of 2", "9.5 to 90.5", "", "1 slipped"] in page.rows
+
+
+def test_takeovers_stand_by_the_learners_steps_in_order(tmp_path):
+    rows = make_summary()["objects"]
+    summary = {**make_summary(), "learner_steps": {"11-15": rows["bowl"], "0-5": rows["mug"]}}
+    page = read(write_report(tmp_path, summary, title="A run"))
+    assert [row[:3] for row in page.rows if row[0] in ("0-5", "11-15")] == [
+        ["0-5", "1", "100.0 %"],
+        ["11-15", "2", "50.0 %"],
+    ]
+
+
+def test_a_loss_that_diverged_still_has_its_curve(tmp_path):
+    (tmp_path / "metrics.csv").write_text("step,loss\n0,1\n5,0.5\n9,nan\n12,inf\n")
+    assert len(read(write_report(tmp_path, make_summary(), title="A run")).sources) == 1
 
 
 def test_grasp_prediction_is_table_5(tmp_path):

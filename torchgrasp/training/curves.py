@@ -38,7 +38,7 @@ class LearningCurve:
 def read_metrics(run_dir: str | Path) -> dict[str, Array]:
     """Columns (rows,) of a run directory's metrics.csv by name, NaN where a cell is empty.
 
-    A line that a kill cut off is left out.
+    A value that was logged but is no finite number is inf. A line that a kill cut off is left out.
 
     Raises:
         CheckpointError: where the file is missing, empty or holds words.
@@ -51,7 +51,7 @@ def read_metrics(run_dir: str | Path) -> dict[str, Array]:
     names, *rows = lines or [[]]
     whole = [row for row in rows if len(row) == len(names)]
     try:
-        table = np.array([[float(cell or "nan") for cell in row] for row in whole])
+        table = np.array([[_read_cell(cell) for cell in row] for row in whole])
     except ValueError as error:
         raise CheckpointError(f"{path} is damaged ({error}): restore it from a copy.") from error
     if not len(table):
@@ -65,18 +65,21 @@ def read_curve(run_dir: str | Path, metric: str, *, x: str = "step") -> Curve:
     Where `x` goes back, as in a file joined from a run and the run that resumed it, the later rows hold.
 
     Raises:
-        ConfigError: where a column is missing, or the two never stand in one row.
+        ConfigError: where a column is missing, the two never stand in one row, or the metric diverged.
     """
     columns = read_metrics(run_dir)
     for name in (metric, x):
         if name not in columns:
             raise ConfigError(f"{run_dir} has no {name!r} in metrics.csv: choose from {', '.join(columns)}.")
-    both = np.isfinite(columns[x]) & np.isfinite(columns[metric])
+    both = ~np.isnan(columns[x]) & ~np.isnan(columns[metric])
     if not both.any():
         raise ConfigError(
             f"{run_dir}: {metric!r} and {x!r} never stand in one row of metrics.csv: give x=step."
         )
     at, values = columns[x][both], columns[metric][both]
+    if not np.isfinite(values).all():
+        bad = at[~np.isfinite(values)][0]
+        raise ConfigError(f"{run_dir}: {metric!r} is no number from {x}={bad:g} on: leave the run out.")
     later = np.minimum.accumulate(at[::-1])[::-1]  # the least x of a row and of all after it
     kept = np.append(at[:-1] < later[1:], True)
     return Curve(Path(run_dir).name, at[kept], values[kept])
@@ -123,6 +126,11 @@ def write_curves_csv(path: str | Path, curves: Mapping[str, LearningCurve], *, x
 
 def _quote(text: str) -> str:
     return '"' + text.replace('"', '""') + '"' if set(text) & set(',"\r\n') else text
+
+
+def _read_cell(text: str) -> float:
+    value = float(text or "nan")
+    return value if not text or np.isfinite(value) else np.inf
 
 
 def _number(value: float) -> str:

@@ -192,7 +192,9 @@ def _objects(tables: Mapping[str, Mapping[str, Any]]) -> Markup:
         cells = [_count(table["objects"].get(name)) for table in tables.values()]
         rate = _rate(own)[1:] if own else ("", "")
         rows.append((name, *cells, *rate, causes))
-    return make_table(("object", *tables, "95 % interval", "", "failures"), rows)
+    whose = f" of {next(iter(tables))}" if len(tables) > 1 else ""
+    head = ("object", *tables, f"95 % interval{whose}", "", f"failures{whose}")
+    return make_table(head, rows)
 
 
 def _count(row: Mapping[str, Any] | None) -> str:
