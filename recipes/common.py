@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -81,12 +81,12 @@ def observed_shapes(cfg: DictConfig) -> dict[Any, tuple[int, ...]]:
     return {key: tuple(spec[key].shape[worlds:]) for key in spec.keys(True, True)}
 
 
-def make_pool(cfg: DictConfig) -> EpisodePool:
-    """Workers that run episodes of "train" and "test"."""
+def make_pool(cfg: DictConfig, *, keep: Iterable = KEPT) -> EpisodePool:
+    """Workers that run episodes of "train" and "test" and hand the keys to `keep` over."""
     resolved: DictConfig = deepcopy(cfg)
     OmegaConf.resolve(resolved)
     envs = {split: functools.partial(make_env, resolved, split) for split in ("train", "test")}
-    return EpisodePool(envs, num_workers=cfg.collector.num_workers, keep=KEPT)
+    return EpisodePool(envs, num_workers=cfg.collector.num_workers, keep=keep)
 
 
 def prepare_objects(cfg: DictConfig, *splits: str) -> None:
@@ -128,10 +128,12 @@ def evaluate(
     description: str,
     *,
     by: Mapping[str, Callable[[Episode], str]] | None = None,
+    watch: Callable[[Episode], None] | None = None,
 ) -> dict:
     """Success of a policy on the first `evaluation.episodes` scenes, and the steps that it took.
 
-    Each entry of `by` names the group that an episode belongs to, and adds a table of the groups.
+    Each entry of `by` names the group that an episode belongs to, and adds a table of the groups. `watch` is
+    shown every episode that counts.
     """
     table, wanted, num_steps = SuccessTable(), cfg.evaluation.episodes, 0
     groups = {name: SuccessTable() for name in by or {}}
@@ -142,6 +144,8 @@ def evaluate(
             table.add(episode.object_name, episode.success, cause=episode.failure)
             for name, group in (by or {}).items():
                 groups[name].add(group(episode), episode.success, cause=episode.failure)
+            if watch is not None:
+                watch(episode)
             num_steps += len(episode.steps)
             progress.update(success_rate=table.success_rate)
     progress.close()

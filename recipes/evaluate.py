@@ -5,9 +5,11 @@ from __future__ import annotations
 import sys
 import time
 
+import albums
 import common
 import hydra
 import policies
+import predictions
 import reports
 import settings
 from omegaconf import DictConfig
@@ -25,17 +27,23 @@ def evaluate(cfg: DictConfig) -> dict:
     common.observed_shapes(cfg)
     name = str(cfg.policy)
     policy = policies.make_policy(cfg, name)
+    predictors = predictions.make_predictors(name) if cfg.grasp_prediction else {}
     by = {"learner_steps": reports.learner_steps} if name == "takeover" else {}
-    with common.make_pool(cfg) as pool:
+    failed, predicted = albums.FailureAlbum(), albums.GraspAlbum()
+    keep = predictions.KEPT if predictors else common.KEPT
+    with common.make_pool(cfg, keep=keep) as pool:
         common.prepare_objects(cfg, "test")
-        table = common.evaluate(cfg, pool, policy, name, by=by)
+        table = common.evaluate(cfg, pool, policy, name, by=by, watch=failed.add)
+        if predictors:
+            table["grasp_prediction"] = predictions.measure(cfg, pool, predictors, predicted)
     run_dir = settings.open_run(cfg, "evaluate")
     if cfg.video.episodes:
         common.record_videos(cfg, policy, run_dir / "videos")
     reports.print_comparison(cfg, {name: table})
     reports.print_failures(table)
     reports.print_learner_steps(table)
-    print(f"Written to {run_dir}: summary.json{', videos/' if cfg.video.episodes else ''}")
+    reports.print_grasp_prediction(table)
+    print(f"Written to {run_dir}: summary.json, report.html{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,
         "policy": name,
@@ -45,7 +53,10 @@ def evaluate(cfg: DictConfig) -> dict:
         "wall_seconds": time.monotonic() - started,
         "gradient_steps": 0,
     }
-    return write_summary(run_dir, summary)
+    summary = write_summary(run_dir, summary)
+    pictures = {"Predicted grasps": predicted.pictures} if predictors else {}
+    reports.write_page(cfg, run_dir, summary, {**pictures, "Failed episodes": failed.pictures})
+    return summary
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="evaluate")

@@ -141,11 +141,15 @@ class Learner:
         for rows in self._demonstrations.iterate_rows():
             self.buffer.extend_rows(rows[find_counted(rows, count)], source="expert")
 
-    def describe_demonstrations(self) -> dict:
-        """Kind, episodes, successes, steps and bytes of the demonstrations."""
+    def describe(self) -> dict:
+        """Demonstrations (kind, episodes, successes, steps, bytes), seconds and steps of this run."""
         card = self._demonstrations.card
         names = ("kind", "episodes", "successes", "steps", "successful_steps", "bytes")
-        return {name: card[name] for name in names}
+        counts = ("wall_seconds", "env_steps", "gradient_steps")
+        return {
+            "demonstrations": {name: card[name] for name in names},
+            **{name: getattr(self, name) for name in counts},
+        }
 
     def begin_imitation(self) -> None:
         """Draw from D_expert alone."""

@@ -38,14 +38,21 @@ def make_networks(model: DictConfig) -> dict[str, TensorDictModuleBase]:
     return networks
 
 
-def make_acting(model: dict[str, Any]) -> dict[str, TensorDictModuleBase]:
-    """The networks that act, for weights to be loaded: no encoder starts from a file of its own."""
+def make_acting(model: dict[str, Any], *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
+    """The networks that act, for weights to be loaded: no encoder starts from a file of its own.
+
+    With `critic` the critic as well, which evaluations of its goal prediction need.
+    """
     cfg: Any = OmegaConf.create(model)
-    for name in ("actor", "goal_network"):
+    for name in ("actor", "critic", "goal_network"):
         if OmegaConf.select(cfg, f"{name}.encoder.weights") is not None:
             cfg[name].encoder.weights = None
-    actor = instantiate(cfg.actor)
-    return {"actor": actor} | ({"goal_network": instantiate(cfg.goal_network)} if reads_goal(actor) else {})
+    networks = {"actor": instantiate(cfg.actor)}
+    if critic:
+        networks["critic"] = instantiate(cfg.critic)
+    if reads_goal(networks["actor"]):
+        networks["goal_network"] = instantiate(cfg.goal_network)
+    return networks
 
 
 def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> None:

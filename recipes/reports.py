@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp import keys
 from torchgrasp.training import Episode
+from torchgrasp.training.report import Picture, write_report
 
+# What stands at the head of a report, where a recipe has it.
+_HIGHLIGHTS = (
+    *("seed", "objects._target_", "objects.num_objects", "evaluation.num_objects", "camera._target_"),
+    *("env.horizon", "env.target_motion", "expert._target_", "model.encoder._target_", "num_points"),
+    *("pretrain.steps", "total_env_steps", "loss.bc_weight", "replay.online_fraction", "init"),
+)
 _BIN = 5  # steps of the learner that are counted together
 
 
@@ -45,6 +56,41 @@ def print_learner_steps(table: dict) -> None:
         print("\nBy the learner's steps before the expert took over")
     for name in sorted(rows, key=lambda name: int(name.split("-")[0])):
         print(f"  {_counts(name, rows[name])}")
+
+
+def print_grasp_prediction(table: dict) -> None:
+    """Table 5 for each network that predicts grasps: min / mean along the expert's trajectories."""
+    for network, errors in table.get("grasp_prediction", {}).items():
+        print(f"\nGrasp prediction of {network} along {errors['trajectories']} trajectories of the expert")
+        for reading, row in errors.items():
+            if isinstance(row, dict):
+                cells = (row["translation_m"], row["rotation_deg"], row["point_distance_m"])
+                words = [f"{cell['min']:.3f} / {cell['mean']:.3f}" for cell in cells]
+                print(f"  {reading.replace('_', ' '):26s} {words[0]} m   {words[1]} deg   {words[2]} m")
+
+
+def write_page(
+    cfg: DictConfig, run_dir: Path, summary: Mapping[str, Any], pictures: Mapping[str, Sequence[Picture]]
+) -> None:
+    """report.html of a run, headed by its recipe's name and its most telling options."""
+    chosen = {_readable(name): OmegaConf.select(cfg, name) for name in _HIGHLIGHTS}
+    if "total_env_steps" not in cfg:  # nothing was trained on
+        chosen.pop("objects.num_objects")
+    config: Any = OmegaConf.to_container(cfg, resolve=True)
+    write_report(
+        run_dir,
+        summary,
+        title=f"{run_dir.resolve().parent.name} {run_dir.name}",
+        highlights={name: _readable(value) for name, value in chosen.items() if value is not None},
+        config=config,
+        pictures=pictures,
+    )
+
+
+def _readable(value: Any) -> Any:
+    """A class by its own name, an option that names a class by what the class is for."""
+    text = str(value).removesuffix("._target_")
+    return text.rsplit(".", 1)[-1] if text.startswith("torchgrasp.") else text
 
 
 def worst_objects(objects: dict[str, dict], at_most: int = 10) -> dict[str, dict]:

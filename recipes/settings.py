@@ -40,7 +40,7 @@ _AT_LEAST = {
     "clouds.batch": 1, "clouds.points": 1, "clouds.repeats": 1, "clouds.threads": 1, "draws": 1,
 }  # fmt: skip
 _SWITCHES = (
-    *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard"),
+    *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),
     *(
         f"model.{network}.{name}"
         for network in ("actor", "critic")

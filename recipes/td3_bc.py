@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import albums
 import collect
 import common
 import hydra
@@ -120,26 +121,23 @@ def conclude(
     cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> dict:
     """Measure the policy beside the baselines on the same scenes; write and print summary.json."""
-    tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy")}
+    failed = albums.FailureAlbum()
+    tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy", watch=failed.add)}
     if "bc" in learner.results:
         tables["policy after imitation alone"] = learner.results["bc"]
     for name in cfg.evaluation.baselines:
         tables[name] = common.evaluate(cfg, pool, policies.make_policy(cfg, name), name)
     logger.log(learner.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
     logger.close()
-    summary = {
-        **tables["policy"],
-        "scenes": reports.describe_scenes(cfg),
-        "comparison": tables,
-        "demonstrations": learner.describe_demonstrations(),
-        "wall_seconds": learner.wall_seconds,
-        "env_steps": learner.env_steps,
-        "gradient_steps": learner.gradient_steps,
-    }
+    scenes = reports.describe_scenes(cfg)
+    summary = {**tables["policy"], "scenes": scenes, "comparison": tables, **learner.describe()}
     reports.print_comparison(cfg, tables)
-    minutes = learner.wall_seconds / 60
-    print(f"{minutes:.1f} minutes. In {run_dir}: summary.json, metrics.csv, weights.safetensors")
-    return write_summary(run_dir, summary)
+    print(
+        f"{learner.wall_seconds / 60:.1f} minutes. In {run_dir}: summary.json, report.html, metrics.csv, weights.safetensors"
+    )
+    summary = write_summary(run_dir, summary)
+    reports.write_page(cfg, run_dir, summary, {"Failed episodes": failed.pictures})
+    return summary
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")

@@ -26,6 +26,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | PERTURBED | *, 1 bool | a disturbance, not the policy, moved the arm at this step |
 | EPISODE_SUCCESS | *, 1 bool | the episode's final reward, on each of its steps |
 | GOAL_PREDICTION | *, 7 | written by actor or critic |
+| GRASP_PREDICTION | *, 7 | of each network by name, which only watches (`GraspPredictions`) |
 | STATE_ACTION_VALUE | *, Q | the critic's values side by side |
 """
 
@@ -63,6 +64,7 @@ PERTURBED = "perturbed"
 SOURCE = "source"
 EPISODE_SUCCESS = "episode_success"
 GOAL_PREDICTION = "goal_prediction"
+GRASP_PREDICTION = "grasp_prediction"
 STATE_ACTION_VALUE = "state_action_value"
 
 
