@@ -132,9 +132,7 @@ def conclude(
     scenes = reports.describe_scenes(cfg)
     summary = {**tables["policy"], "scenes": scenes, "comparison": tables, **learner.describe()}
     reports.print_comparison(cfg, tables)
-    print(
-        f"{learner.wall_seconds / 60:.1f} minutes. In {run_dir}: summary.json, report.html, metrics.csv, weights.safetensors"
-    )
+    print(f"{learner.wall_seconds / 60:.1f} minutes. In {run_dir}: report.html and what it was made of")
     summary = write_summary(run_dir, summary)
     reports.write_page(cfg, run_dir, summary, {"Failed episodes": failed.pictures})
     return summary
