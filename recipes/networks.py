@@ -30,34 +30,36 @@ def predicts_goal(network: TensorDictModuleBase) -> bool:
     return keys.GOAL_PREDICTION in network.out_keys
 
 
-def make_networks(model: DictConfig) -> dict[str, TensorDictModuleBase]:
+def make_networks(model: DictConfig, *, critic: bool = True) -> dict[str, TensorDictModuleBase]:
     """Actor, critic and, where the actor reads the goal, the network that predicts it, by name."""
-    networks = {"actor": instantiate(model.actor), "critic": instantiate(model.critic)}
+    networks = {"actor": instantiate(model.actor)}
+    if critic:
+        networks["critic"] = instantiate(model.critic)
     if reads_goal(networks["actor"]):
         networks["goal_network"] = instantiate(model.goal_network)
     return networks
 
 
-def make_acting(model: dict[str, Any], *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
-    """The networks that act, for weights to be loaded: no encoder starts from a file of its own.
-
-    With `critic` the critic as well, which evaluations of its goal prediction need.
-    """
-    cfg: Any = OmegaConf.create(model)
-    for name in ("actor", "critic", "goal_network"):
+def load_acting(path: Path, *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
+    """The trained networks that act, of a run directory or weights file; the critic on demand."""
+    states, config = load_weights(weights_file(path))
+    cfg: Any = OmegaConf.create(config["model"])
+    for name in ("actor", "critic", "goal_network"):  # no encoder starts from a file of its own
         if OmegaConf.select(cfg, f"{name}.encoder.weights") is not None:
             cfg[name].encoder.weights = None
-    networks = {"actor": instantiate(cfg.actor)}
-    if critic:
-        networks["critic"] = instantiate(cfg.critic)
-    if reads_goal(networks["actor"]):
-        networks["goal_network"] = instantiate(cfg.goal_network)
+    networks = make_networks(cfg, critic=critic)
+    _give(networks, states, path)
     return networks
 
 
 def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> None:
     """Give the networks the weights of the same names in a run directory or weights file."""
-    states, _ = load_weights(weights_file(path))
+    _give(networks, load_weights(weights_file(path))[0], path)
+
+
+def _give(
+    networks: Mapping[str, TensorDictModuleBase], states: Mapping[str, Mapping[str, Any]], path: Path
+) -> None:
     try:
         for name, network in networks.items():
             network.load_state_dict(states[name])

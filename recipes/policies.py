@@ -6,13 +6,11 @@ from pathlib import Path
 
 import common
 from hydra.utils import instantiate
-from networks import join_policy, load_networks, make_acting
+from networks import join_policy, load_acting
 from omegaconf import DictConfig
-from settings import weights_file
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp.planning import OpenLoopPolicy, RandomAction, Relay
-from torchgrasp.training import load_weights
 
 
 def make_policy(cfg: DictConfig, name: str) -> TensorDictModuleBase:
@@ -43,9 +41,7 @@ def make_planning(cfg: DictConfig) -> OpenLoopPolicy:
 
 def load_actor(path: Path) -> TensorDictModuleBase:
     """The trained actor of a run directory or weights file, behind its goal network if it reads goals."""
-    networks = make_acting(load_weights(weights_file(path))[1]["model"])
-    load_networks(networks, path)
-    return join_policy(networks)
+    return join_policy(load_acting(path))
 
 
 def _relay(cfg: DictConfig, name: str, first: TensorDictModuleBase, second: TensorDictModuleBase) -> Relay:

@@ -8,15 +8,15 @@ from pathlib import Path
 import common
 import torch
 from albums import GraspAlbum
-from networks import load_networks, make_acting, predicts_goal, reads_goal
+from networks import load_acting, predicts_goal, reads_goal
 from omegaconf import DictConfig
-from settings import POLICIES, weights_file
+from settings import POLICIES
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import goal_to_pose, invert_pose
-from torchgrasp.training import Episode, EpisodePool, Progress, load_weights
+from torchgrasp.training import Episode, EpisodePool, Progress
 from torchgrasp.training.grasp_prediction import GraspPredictions, GraspPredictionTable
 
 # What is needed of a step, besides the keys that every evaluation keeps.
@@ -33,8 +33,7 @@ def make_predictors(name: str) -> dict[str, TensorDictModuleBase]:
             f"grasp_prediction=true with policy={name}, which predicts no grasps: give a run directory or a "
             "weights file."
         )
-    networks = make_acting(load_weights(weights_file(Path(name)))[1]["model"], critic=True)
-    load_networks(networks, Path(name))
+    networks = load_acting(Path(name), critic=True)
     goal_network = networks.get("goal_network")
     predictors = {} if goal_network is None else {"goal_network": goal_network}
     for each in ("actor", "critic"):

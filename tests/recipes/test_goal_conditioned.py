@@ -11,7 +11,7 @@ import torch
 from evaluate import evaluate
 from hydra.utils import instantiate
 from learner import Learner
-from networks import make_acting
+from networks import load_acting
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
@@ -117,7 +117,7 @@ def test_weights_bring_the_goal_network_and_no_file_of_their_own(composed, tmp_p
     seen = TensorDict({"image": torch.rand(2, 4, 32, 32), "time_left": torch.ones(2, 1)}, [2])
     by_hand = networks["actor"](networks["goal_network"](seen.clone()))
     assert torch.equal(policy(seen)["action"], by_hand["action"])
-    assert set(make_acting(plain["model"])) == {"actor", "goal_network"}
+    assert set(load_acting(tmp_path / "w.safetensors")) == {"actor", "goal_network"}
 
 
 def test_demonstrations_of_a_goal_conditioned_learner_keep_the_labels(composed, tmp_path):

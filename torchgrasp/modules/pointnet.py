@@ -70,10 +70,7 @@ class PointNet(nn.Module):
         )
         xyz = points[..., :3] / self.scale
         rows = torch.cat((xyz, xyz - _centroid(xyz, mask), points[..., 3:]), dim=-1)
-        if self.rows_are_independent:
-            pooled = max_over_rows(self.points, rows)
-        else:
-            pooled = self.points(rows.flatten(0, 1)).unflatten(0, rows.shape[:2]).amax(dim=1)
+        pooled = max_over_rows(self.points, rows, independent=self.rows_are_independent)
         return self.cloud(pooled).reshape(*batch, self.out_features)
 
 

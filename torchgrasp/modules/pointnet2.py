@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.modules.layers import Norm, check_channels, flatten_clouds, mlp, norm_layers
 from torchgrasp.modules.pooling import max_over_neighbours, max_over_rows
-from torchgrasp.ops import ball_query, farthest_point_sample, group
+from torchgrasp.ops import ball_query, farthest_point_sample
 from torchgrasp.ops.points import Start, check_start
 
 
@@ -71,10 +71,8 @@ class SetAbstraction(nn.Module):
         centres = self._centres(xyz, mask)
         index = ball_query(xyz, centres, self.radius, min(self.num_neighbours, xyz.shape[1]), mask=mask)
         points, shift = self._first_layer(xyz, features, centres)
-        if self.rows_are_independent:
-            return centres, max_over_neighbours(self.rest, points, shift, index)
-        rows = group(points, index) - shift[:, :, None]
-        return centres, self.rest(rows.flatten(0, 2)).unflatten(0, rows.shape[:3]).amax(dim=2)
+        pooled = max_over_neighbours(self.rest, points, shift, index, independent=self.rows_are_independent)
+        return centres, pooled
 
     def _first_layer(self, xyz: Tensor, features: Tensor, centres: Tensor) -> tuple[Tensor, Tensor]:
         """W [x, f] + b of every point and W_x c of every centre, whose differences are what follows."""
@@ -160,10 +158,7 @@ class PointNet2(nn.Module):
             xyz, features = abstraction(xyz, features, mask)
             mask = None  # every centre is a point
         rows = torch.cat(((xyz / self.scale).to(features.dtype), features), dim=-1)
-        if self.rows_are_independent:
-            pooled = max_over_rows(self.whole, rows)
-        else:
-            pooled = self.whole(rows.flatten(0, 1)).unflatten(0, rows.shape[:2]).amax(dim=1)
+        pooled = max_over_rows(self.whole, rows, independent=self.rows_are_independent)
         return self.cloud(pooled).reshape(*batch, self.out_features)
 
 

@@ -21,28 +21,31 @@ from torchgrasp.ops import group
 _CHUNK_ROWS = 2048
 
 
-def max_over_rows(layers: nn.Module, rows: Tensor) -> Tensor:
+def max_over_rows(layers: nn.Module, rows: Tensor, *, independent: bool = True) -> Tensor:
     """(G, K, C) rows through `layers`, one by one, then the max over K: (G, F).
 
-    `layers` must treat each row on its own (linear, activation, LayerNorm; not BatchNorm).
+    `independent` says that `layers` treat each row on its own (linear, activation, LayerNorm; not
+    BatchNorm): otherwise every row passes with a graph.
     """
-    if not _chooses_rows(rows):
-        return layers(rows).amax(dim=1)
+    if not (independent and _chooses_rows()):
+        return _max_of_all(layers, rows)
     flat = rows.flatten(0, 1)
     every = torch.ones(rows.shape[:2], dtype=torch.bool, device=rows.device)
     return _max_over_groups(layers, lambda i: flat.index_select(0, i), every, needs_graph=rows.requires_grad)
 
 
-def max_over_neighbours(layers: nn.Module, points: Tensor, centres: Tensor, index: Tensor) -> Tensor:
+def max_over_neighbours(
+    layers: nn.Module, points: Tensor, centres: Tensor, index: Tensor, *, independent: bool = True
+) -> Tensor:
     """Max over K of `layers` applied to ``points[index] - centres``: (B, M, F).
 
     `points` is (B, N, C), `centres` (B, M, C) and `index` (B, M, K) says which of the N points are a
-    centre's neighbours. `layers` as for `max_over_rows`. Places that repeat a centre's
+    centre's neighbours. `layers` and `independent` as for `max_over_rows`. Places that repeat a centre's
     first neighbour, as `ops.ball_query` fills them, cost nothing.
     """
     (clouds, num_centres, k), num_points = index.shape, points.shape[1]
-    if not _chooses_rows(points):
-        return layers(group(points, index) - centres[:, :, None]).amax(dim=2)
+    if not (independent and _chooses_rows()):
+        return _max_of_all(layers, group(points, index) - centres[:, :, None])
     first = num_points * torch.arange(clouds, device=index.device)[:, None, None]
     neighbour = (index + first).flatten()
     points, centres = points.flatten(0, 1), centres.flatten(0, 1)
@@ -57,7 +60,12 @@ def max_over_neighbours(layers: nn.Module, points: Tensor, centres: Tensor, inde
     return pooled.unflatten(0, (clouds, num_centres))
 
 
-def _chooses_rows(rows: Tensor) -> bool:
+def _max_of_all(layers: nn.Module, rows: Tensor) -> Tensor:
+    """The max over K of `layers` applied to all of (*, K, C) rows: (*, F)."""
+    return layers(rows.flatten(0, -2)).unflatten(0, rows.shape[:-1]).amax(dim=-2)
+
+
+def _chooses_rows() -> bool:
     """Whether rows may be chosen by their values: not while functorch or a compiler traces."""
     if torch.compiler.is_compiling():
         return False
