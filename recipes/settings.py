@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import sweeps
 import torch
 import yaml
 from hydra.core.hydra_config import HydraConfig
@@ -124,8 +125,10 @@ def resumed(cfg: DictConfig) -> DictConfig:
 def open_run(cfg: DictConfig, recipe: str) -> Path:
     """The directory of the run that `resume` names, or a new one with the configuration in it."""
     if cfg.get("resume") is not None:
+        sweeps.note(Path(cfg.resume))
         return Path(cfg.resume)
     run_dir = make_run_dir(recipe, root=cfg.output_dir)
+    sweeps.note(run_dir)
     OmegaConf.save(cfg, run_dir / "config.yaml", resolve=True)
     OmegaConf.save(cfg, run_dir / _UNRESOLVED)
     return run_dir

@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ContextDecorator
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 
 from torchgrasp.errors import TorchgraspError
 
 
-@contextmanager
-def one_line_errors() -> Iterator[None]:
+class _OneLineErrors(ContextDecorator):
+    """What `one_line_errors` returns; a class, because parallel launchers pickle what it decorates."""
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        cause = find_cause(error) if isinstance(error, Exception) else None
+        if cause is None or (HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN):
+            return
+        print("error:", " ".join(str(cause).split()), file=sys.stderr)
+        raise SystemExit(1) from None
+
+
+def one_line_errors() -> ContextDecorator:
     """Print a TorchgraspError, or one that caused another error, as `error: ...` and exit with code 1.
 
     As a decorator it stands below Hydra's, which would print a traceback itself:
@@ -18,15 +33,10 @@ def one_line_errors() -> Iterator[None]:
         @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
         @one_line_errors()
         def main(cfg): ...
+
+    In a job of a sweep the error goes on: Hydra runs the other jobs, recipes/sweeps.py prints it.
     """
-    try:
-        yield
-    except Exception as error:
-        cause = find_cause(error)
-        if cause is None:
-            raise
-        print("error:", " ".join(str(cause).split()), file=sys.stderr)
-        raise SystemExit(1) from None
+    return _OneLineErrors()
 
 
 def find_cause(error: BaseException | None) -> TorchgraspError | None:
