@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import glob
-from collections.abc import Iterable
+import sys
 from pathlib import Path
-from typing import Any
 
 import hydra
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
+from run_groups import find_groups, unquote_labels
 from settings import check_values
 
-from torchgrasp.errors import ConfigError
 from torchgrasp.training import make_run_dir, one_line_errors
 from torchgrasp.training.curves import LearningCurve, average_curves, read_curve, write_curves_csv
 from torchgrasp.training.plots import can_plot, plot_curves, to_png, to_svg
@@ -20,7 +18,8 @@ from torchgrasp.training.plots import can_plot, plot_curves, to_png, to_svg
 def draw(cfg: DictConfig) -> dict[str, LearningCurve]:
     """Average each group of runs; write curves.csv and, where matplotlib is there, curves.svg and .png."""
     check_values(cfg)
-    curves = {label: _average(cfg, group) for label, group in _groups(cfg).items()}
+    groups = find_groups(cfg.runs, label=str(cfg.metric), holding="metrics.csv")
+    curves = {label: _average(cfg, group) for label, group in groups.items()}
     folder = make_run_dir("curves", root=cfg.output_dir)
     OmegaConf.save(cfg, folder / "config.yaml", resolve=True)
     write_curves_csv(folder / "curves.csv", curves, x=cfg.x)
@@ -36,28 +35,6 @@ def draw(cfg: DictConfig) -> dict[str, LearningCurve]:
         print(f"  {label:30s} {_end(curve)} of {curve.runs} runs at {cfg.x}={curve.x[-1]:g}")
     print(f"Written to {folder}: {', '.join(written)}")
     return curves
-
-
-def _groups(cfg: DictConfig) -> dict[str, list[Path]]:
-    """Run directories by the label of their curve."""
-    runs: Any = cfg.runs
-    groups = dict(runs) if isinstance(runs, DictConfig) else {str(cfg.metric): runs}
-    return {str(label): list(_find(str(label), group)) for label, group in groups.items()}
-
-
-def _find(label: str, group: Any) -> Iterable[Path]:
-    """The run directories of a group, each once, in the order given."""
-    patterns = [str(each) for each in (group if isinstance(group, list | ListConfig) else [group])]
-    found = {}
-    for pattern in patterns:
-        # Other recipes' runs may lie beside: a pattern takes those with metrics, a name is meant.
-        matches = sorted(glob.glob(pattern))
-        if glob.has_magic(pattern):
-            matches = [each for each in matches if (Path(each) / "metrics.csv").is_file()]
-        if not matches:
-            raise ConfigError(f"runs={pattern} ({label}): no run directory with metrics.csv is there.")
-        found |= {Path(each).resolve(): Path(each) for each in matches}
-    return found.values()
 
 
 def _average(cfg: DictConfig, runs: list[Path]) -> LearningCurve:
@@ -77,4 +54,5 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
+    sys.argv = unquote_labels(sys.argv)
     main()

@@ -1,0 +1,63 @@
+"""Runs side by side: recipes/compare.py 'runs={"with DAgger": "dagger/td3_bc/*", without: [DIR, DIR]}'."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+from run_groups import find_groups, unquote_labels
+from settings import check_values
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.training import make_run_dir, one_line_errors
+from torchgrasp.training.comparison import GroupRow, compare_runs
+from torchgrasp.training.comparison_tables import to_text, write_comparison
+from torchgrasp.training.results import RunResult, read_result
+from torchgrasp.training.sweep import read_failure
+
+
+def compare(cfg: DictConfig) -> list[GroupRow]:
+    """Compare the runs' summaries; print the tables, write compare.md, compare.csv and compare.html."""
+    check_values(cfg)
+    groups = find_groups(cfg.runs, label="all runs", holding="config.yaml")
+    rows = compare_runs({label: _read(runs, cfg.key) for label, runs in groups.items()})
+    folder = make_run_dir("compare", root=cfg.output_dir)
+    OmegaConf.save(cfg, folder / "config.yaml", resolve=True)
+    written = write_comparison(folder, rows, title=cfg.title or _title(groups, cfg.key))
+    print(to_text(rows))
+    print(f"Written to {folder}: {', '.join(path.name for path in written)}")
+    return rows
+
+
+def _read(runs: list[Path], key: str | None) -> list[RunResult]:
+    """The finished runs' results; unfinished ones are named, failed ones refused."""
+    results = []
+    for run in runs:
+        if (failure := read_failure(run)) is not None:
+            raise ConfigError(
+                f"{run} failed: {failure} Go on with resume={run}, or name the others alone: a mean "
+                "without the runs that failed may flatter."
+            )
+        if (run / "summary.json").is_file():
+            results.append(read_result(run, key=key))
+        else:
+            print(f"Left out: {run} has no summary.json: it has not finished.")
+    return results
+
+
+def _title(groups: dict[str, list[Path]], key: str | None) -> str:
+    return " / ".join(groups) + ("" if key is None else f": {key}")
+
+
+@hydra.main(version_base=None, config_path="../conf", config_name="compare")
+@one_line_errors()
+def main(cfg: DictConfig) -> None:
+    """Compare as configured."""
+    compare(cfg)
+
+
+if __name__ == "__main__":
+    sys.argv = unquote_labels(sys.argv)
+    main()
