@@ -63,7 +63,8 @@ class SweepRecord(Callback):
 
 def note(run_dir: Path) -> None:
     """In a job of a sweep, note the directory that it writes to."""
-    place = _place(HydraConfig.instance().cfg) if HydraConfig.initialized() else None
+    config: Any = HydraConfig.instance().cfg
+    place = _place(config)
     if place is not None:
         note_run_dir(*place, run_dir)
 

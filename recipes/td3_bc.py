@@ -24,6 +24,7 @@ from torchgrasp.training import (
     EpisodePool,
     MetricsLogger,
     Progress,
+    Stopwatch,
     one_line_errors,
     save_weights,
     write_summary,
@@ -37,8 +38,7 @@ def train(cfg: DictConfig) -> dict:
     run_dir = settings.open_run(cfg, "td3_bc")
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg)
-        path = collect.demonstrations(cfg, pool, run_dir)
-        learner.make_buffer(path)
+        learner.make_buffer(collect.demonstrations(cfg, pool, run_dir))
         resumed = learner.resume(run_dir)
         if not resumed:
             learner.load_demonstrations()
@@ -66,10 +66,13 @@ def pretrain(cfg: DictConfig, learner: Learner, logger: MetricsLogger, run_dir: 
         cfg.pretrain.steps, initial=learner.pretrain_steps, description="imitation", unit="update"
     )
     learner.begin_imitation()
+    stopwatch = Stopwatch()
     while learner.pretrain_steps < cfg.pretrain.steps:
+        stopwatch.lap("other")
         metrics = learner.imitate(learner.buffer.sample(cfg.pretrain.batch_size).to(cfg.device))
+        stopwatch.lap("updates", 1)
         if learner.pretrain_steps % 50 == 0 or learner.pretrain_steps == cfg.pretrain.steps:
-            logger.log(learner.gradient_steps, metrics)
+            logger.log(learner.gradient_steps, {**metrics, **stopwatch.measure()})
         if learner.pretrain_steps % cfg.checkpoint.steps == 0:
             learner.checkpoint(run_dir)
         progress.update()
@@ -86,18 +89,21 @@ def reinforce(
     policy = TensorDictSequential(*modules)
     progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
     learner.begin_reinforcement()
+    stopwatch = Stopwatch()
     while learner.env_steps < cfg.total_env_steps:
+        stopwatch.lap("other")
         learner.set_rates(learner.env_steps / cfg.total_env_steps)
         start = common.ONLINE_EPISODES + learner.iterations * rounds
         batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
         episodes = [episode for batch in batches for episode in batch]
-        num_steps = sum(len(episode.steps) for episode in episodes)
         for episode in episodes:
             learner.buffer.extend(episode.steps[None], source="online")
+        num_steps = sum(len(episode.steps) for episode in episodes)
         learner.noise.step(num_steps)
         learner.env_steps += num_steps
         learner.iterations += 1
         success_rate = learner.note_successes([episode.success for episode in episodes])
+        stopwatch.lap("rollouts", num_steps, of="env_steps")
 
         metrics: dict[str, float] = {}
         for update in range(1, cfg.online.updates + 1):
@@ -105,11 +111,9 @@ def reinforce(
             metrics |= learner.update_critic(batch)
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
-
-        logger.log(
-            learner.gradient_steps,
-            {**metrics, "env_steps": learner.env_steps, "train/success_rate": success_rate},
-        )
+        stopwatch.lap("updates", cfg.online.updates)
+        metrics |= {"env_steps": learner.env_steps, "train/success_rate": success_rate}
+        logger.log(learner.gradient_steps, {**metrics, **stopwatch.measure()})
         if learner.iterations % cfg.checkpoint.iterations == 0:
             learner.checkpoint(run_dir)
         progress.update(num_steps, success_rate=success_rate)

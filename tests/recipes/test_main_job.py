@@ -17,10 +17,17 @@ REQUIRED = {
     *("versions", "hardware"),
 }
 
+_CLOCKED = ("time/", "speed/", "memory/")
+
 
 def read_metrics(run_dir: Path) -> list[dict[str, str]]:
     with (run_dir / "metrics.csv").open() as stream:
         return list(csv.DictReader(stream))
+
+
+def read_results(run_dir: Path) -> list[dict[str, str]]:
+    """The metrics that do not depend on how fast the machine is, or when it was interrupted."""
+    return [{n: v for n, v in row.items() if not n.startswith(_CLOCKED)} for row in read_metrics(run_dir)]
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +61,20 @@ def test_a_run_leaves_its_record(finished_run):
     } <= set(rows[0])
 
 
+def test_a_run_tells_where_its_time_goes_and_its_memory(finished_run):
+    summary = json.loads((finished_run / "summary.json").read_text())
+    online = [row for row in read_metrics(finished_run) if row["time/rollouts_s"]]
+    steps = sum(float(row["speed/env_steps_per_s"]) * float(row["time/rollouts_s"]) for row in online)
+    assert steps == pytest.approx(summary["env_steps"])
+    updates = sum(float(row["speed/updates_per_s"]) * float(row["time/updates_s"]) for row in online)
+    assert updates == pytest.approx(3 * len(online))
+    seconds = [
+        float(row[f"time/{name}_s"] or 0) for row in online for name in ("rollouts", "updates", "other")
+    ]
+    assert 0 < sum(seconds) < summary["wall_seconds"]
+    assert 50 < float(online[0]["memory/process_mb"]) < 10_000
+
+
 @pytest.mark.parametrize(("kill_at", "overrides"), [(0, []), (8, []), (15, ["collector.num_workers=1"])])
 def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at, overrides):
     """Killed at the first checkpoint (0, while it imitates) or at a gradient step; also with a worker."""
@@ -75,7 +96,7 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at,
         env=environment(),
         capture_output=True,
     )
-    assert read_metrics(run_dir) == read_metrics(finished_run)
+    assert read_results(run_dir) == read_results(finished_run)
     ours, theirs = (json.loads((each / "summary.json").read_text()) for each in (run_dir, finished_run))
     assert ours["comparison"] == theirs["comparison"]
     weights = [(each / "weights.safetensors").read_bytes() for each in (run_dir, finished_run)]

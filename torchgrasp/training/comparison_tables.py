@@ -24,7 +24,7 @@ from torchgrasp.training.html import (
 from torchgrasp.training.intervals import Interval
 
 _HEAD = ("", "seeds", "of each", "mean ± s.d.", "episodes", "pooled, 95 % interval")
-_DIFFERENCE = ("", "difference to {first}", "95 % over seeds", "", "95 % over episodes")
+_DIFFERENCE = ("", "difference to {first}", "95 % over seeds", "method", "95 % over episodes")
 _COST = ("", "minutes", "env steps", "gradient steps")
 _NOTES = (
     "Mean ± s.d.: over the runs, sample standard deviation. Pooled: all episodes of all runs together, with "
