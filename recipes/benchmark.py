@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: recipes/benchmark.py suite=env|resets|planner|replay|encoder|update."""
+"""Speed as ratios within one run: recipes/benchmark.py suite=env|resets|planner|replay|encoder|update|..."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ from planner_bench import benchmark_planner
 from replay_bench import benchmark_replay
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
+from training_bench import benchmark_training
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import probe_renderer
 from torchgrasp.training import Progress, hardware, make_run_dir, one_line_errors, versions
+from torchgrasp.training.memory import measure_memory
 
 _RENDER = {"camera": {"_target_": "torchgrasp.sim.RenderCamera"}}
 
@@ -128,7 +130,7 @@ def benchmark_resets(cfg: DictConfig) -> dict:
         base.rand_step(td)
         if count % (cfg.resets // 10) == 0:
             gc.collect()
-            memory[count] = _resident_megabytes()
+            memory[count] = measure_memory()["memory/process_mb"]
             print(f"{count} resets: {memory[count]:.0f} MB", flush=True)
         progress.update()
     progress.close()
@@ -148,11 +150,6 @@ def benchmark_resets(cfg: DictConfig) -> dict:
     return out
 
 
-def _resident_megabytes() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
 def benchmark(cfg: DictConfig) -> dict:
     """Run the suite; print and write its table."""
     suites = {
@@ -162,6 +159,7 @@ def benchmark(cfg: DictConfig) -> dict:
         "replay": benchmark_replay,
         "encoder": benchmark_encoder,
         "update": benchmark_update,
+        "training": benchmark_training,
     }
     if cfg.suite not in suites:
         raise ConfigError(f"suite={cfg.suite!r} is unknown: give one of {', '.join(suites)}.")

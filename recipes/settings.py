@@ -39,6 +39,7 @@ _AT_LEAST = {
     "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
     "video.episodes": 0, "collector.num_workers": 0, "env.num_envs": 1, "env.horizon": 1, "num_points": 1,
     "clouds.batch": 1, "clouds.points": 1, "clouds.repeats": 1, "clouds.threads": 1, "draws": 1,
+    "training.iterations": 1, "training.warmup": 0,
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),

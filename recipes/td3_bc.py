@@ -96,9 +96,9 @@ def reinforce(
         start = common.ONLINE_EPISODES + learner.iterations * rounds
         batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
         episodes = [episode for batch in batches for episode in batch]
+        num_steps = sum(len(episode.steps) for episode in episodes)
         for episode in episodes:
             learner.buffer.extend(episode.steps[None], source="online")
-        num_steps = sum(len(episode.steps) for episode in episodes)
         learner.noise.step(num_steps)
         learner.env_steps += num_steps
         learner.iterations += 1
