@@ -21,7 +21,16 @@ from torchgrasp.training import MetricsLogger
 from torchgrasp.training.curves import read_metrics
 
 _CONF = Path(__file__).resolve().parents[1] / "conf"
-_HEAD = ("workers", "env steps/s", "", "updates/s", "", "iteration, s", "", "both, env steps/s")
+_HEAD: tuple[str, ...] = (
+    "workers",
+    "env steps/s",
+    "",
+    "updates/s",
+    "",
+    "iteration, s",
+    "",
+    "both, env steps/s",
+)
 
 
 def benchmark_training(cfg: DictConfig) -> dict[str, dict[str, float]]:
@@ -102,7 +111,7 @@ def _summarise(run_dir: Path, warmup: int) -> dict[str, float]:
 def _print_table(rows: dict[str, dict[str, float]]) -> None:
     """Figures beside their ratios to the first row; of overlapping rollouts only the wait would be timed."""
     base = next(iter(rows.values()))
-    lines = [_HEAD]
+    lines: list[tuple[str, ...]] = [_HEAD]
     for name, row in rows.items():
         cells = [name]
         for key, digits in (("env_steps_per_second", 0), ("updates_per_second", 1), ("iteration_seconds", 2)):

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 _ROOT = Path(__file__).parents[2]
 _PAGES = [_ROOT / "README.md", *sorted((_ROOT / "docs").rglob("*.md"))]
@@ -28,6 +30,10 @@ def test_command_names_a_recipe_and_options_that_exist(recipe, overrides):
     name = re.search(r'config_name="(\w+)"', recipe.read_text())
     assert name is not None
     with initialize_config_dir(str(_ROOT / "conf"), version_base=None):
+        if "-m" in overrides:
+            parsed = OverridesParser.create().parse_overrides([each for each in overrides if each != "-m"])
+            (jobs,) = BasicSweeper.split_arguments(parsed, max_batch_size=None)
+            overrides = jobs[-1]
         compose(name[1], overrides)
 
 

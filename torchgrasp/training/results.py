@@ -73,7 +73,10 @@ def read_result(run_dir: str | Path, *, key: str | None = None) -> RunResult:
             gradient_steps=summary["gradient_steps"],
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{run_dir}/summary.json lacks {error}: give runs of the recipes.") from error
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise CheckpointError(
+            f"{run_dir}/summary.json cannot be used ({reason}): give runs of the recipes."
+        ) from error
 
 
 def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
