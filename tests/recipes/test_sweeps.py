@@ -5,7 +5,7 @@ from pathlib import Path
 
 from torchgrasp.training.sweep import read_sweep
 
-SMOKE = ("-m", "experiment=smoke", "evaluation.baselines=[]")
+SMOKE = ("experiment=smoke", "evaluation.baselines=[]")
 
 
 def find_sweep(root: Path) -> Path:
@@ -14,9 +14,9 @@ def find_sweep(root: Path) -> Path:
 
 
 def test_two_seeds_train_one_fails_and_the_rest_is_compared(run_recipe, tmp_path):
-    code, out, err = run_recipe("td3_bc", *SMOKE, "seed=0,1", "pretrain.steps=6,-1")
+    code, out, err = run_recipe("td3_bc", *SMOKE, "seed=0,1", "pretrain.steps=6,-1", "-m")
     assert code == 1, err
-    assert "2 of 4 jobs finished" in out and out.count("failed: experiment=smoke") == 2
+    assert "2 of 4 jobs finished" in out and out.count(" failed: output_dir=") == 2
     assert err.count("error: job") == 2 and "Traceback" not in err
     folder = find_sweep(tmp_path)
     jobs = read_sweep(folder)
@@ -38,7 +38,7 @@ def test_two_seeds_train_one_fails_and_the_rest_is_compared(run_recipe, tmp_path
 
 def test_jobs_side_by_side_have_directories_of_their_own(run_recipe, tmp_path):
     launcher = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "collector.num_workers=1")
-    code, out, err = run_recipe("td3_bc", *SMOKE, *launcher, "seed=0,1", "total_env_steps=0")
+    code, out, err = run_recipe("td3_bc", *SMOKE, *launcher, "seed=0,1", "total_env_steps=0", "-m")
     assert code == 0, err
     assert "2 of 2 jobs finished" in out
     jobs = read_sweep(find_sweep(tmp_path))
