@@ -62,10 +62,10 @@ def read_result(run_dir: str | Path, *, key: str | None = None) -> RunResult:
     table = _choose(run_dir, summary, key)
     try:
         values, success = _measures(table)
-        return RunResult(
+        result = RunResult(
             run=run_dir,
             seed=_seed(config),
-            values=_check_finite(run_dir, values),
+            values=values,
             success=success,
             scenes=read_scenes(config) | _episodes_by_object(table),
             wall_minutes=summary["wall_seconds"] / 60,
@@ -77,6 +77,8 @@ def read_result(run_dir: str | Path, *, key: str | None = None) -> RunResult:
         raise CheckpointError(
             f"{run_dir}/summary.json cannot be used ({reason}): give runs of the recipes."
         ) from error
+    _check_finite(result)
+    return result
 
 
 def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -147,11 +149,11 @@ def _measures(table: Mapping[str, Any]) -> tuple[dict[str, float], tuple[int, in
     return {n.replace("_", " "): v for n, v in measures.items() if not n.endswith("trajectories")}, None
 
 
-def _check_finite(run_dir: Path, values: dict[str, float]) -> dict[str, float]:
-    bad = [name for name, value in values.items() if not math.isfinite(value)]
-    if bad or not values:
-        raise ConfigError(f"{run_dir}: {', '.join(bad) or 'the table'} holds no number: leave the run out.")
-    return values
+def _check_finite(result: RunResult) -> None:
+    bad = [name for name, value in result.values.items() if not math.isfinite(value)]
+    if bad or not result.values:
+        reason = f"{', '.join(bad) or 'the table'} holds no number"
+        raise ConfigError(f"{result.run}: {reason}: leave the run out.")
 
 
 def _episodes_by_object(table: Mapping[str, Any]) -> dict[str, int]:
