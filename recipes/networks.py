@@ -87,13 +87,12 @@ def join_policy(networks: dict[str, TensorDictModuleBase]) -> TensorDictModuleBa
 
 
 def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> CompactTransitions:
-    """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
+    """How transitions are stored: `replay.codec`, goal and table as states where a network reads them."""
     states = list(cfg.replay.codec.state_keys)
-    if keys.GOAL not in states and any(reads_goal(each) for each in networks.values()):
-        states.append(keys.GOAL)
+    read = {key for each in networks.values() for key in each.in_keys}
+    states += [key for key in (keys.GOAL, keys.TABLE_PLANE) if key in read and key not in states]
     codec = instantiate(cfg.replay.codec, state_keys=states)
-    read = {key for each in networks.values() for key in each.in_keys} - {keys.ACTION}
-    if absent := read - set(codec.observation_keys):
+    if absent := read - {keys.ACTION} - set(codec.observation_keys):
         raise ConfigError(
             f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
             "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "

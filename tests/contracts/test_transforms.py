@@ -27,6 +27,7 @@ from torchgrasp.transforms import (
     JitterPoints,
     RandomMirror,
     SamplePoints,
+    TablePlane,
 )
 
 HORIZON = 3
@@ -59,6 +60,7 @@ CASES = [
     Case(CameraPoseError, {}, ()),
     Case(JitterPoints, {}, (DepthToPoints,)),
     Case(DropPoints, {"dropped": 0.5}, (DepthToPoints,)),
+    Case(TablePlane, {"height": 0.1}, ()),
     Case(CameraImage, {"channels": "dm", "size": 8}, ()),
 ]
 

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torchgrasp import keys
 from torchgrasp.geometry import ACTION_BOUND, GOAL_SIZE
 from torchgrasp.modules.heads import (
+    PLANE_SIZE,
     Encoder,
     EncoderNetwork,
     GoalHead,
@@ -38,11 +39,14 @@ class GraspActor(TensorDictModule):
         hidden: width of the heads.
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does;
             zeros say that there is none.
+        table_input: also read the table's plane (*, 4) of `table_key`: each point's height above it is one
+            more channel of the cloud, and the plane joins the feature. Not in the paper.
         goal_prediction: whether the actor predicts the goal.
         freeze_encoder: keep the encoder as it is (Sec. 6.3: fine-tuning with hindsight goals). A module
             is copied, so that freezing stays here.
         in_keys: the encoder's input and time left.
         goal_key: what `goal_input` adds to `in_keys`.
+        table_key: what `table_input` adds to `in_keys`, after that.
         out_keys: the action, then the goal prediction where there is one.
 
     Example:
@@ -63,26 +67,29 @@ class GraspActor(TensorDictModule):
         action_bound: Sequence[float] = ACTION_BOUND,
         hidden: int = 256,
         goal_input: bool = False,
+        table_input: bool = False,
         goal_prediction: bool = True,
         freeze_encoder: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT),
         goal_key: NestedKey = keys.GOAL,
+        table_key: NestedKey = keys.TABLE_PLANE,
         out_keys: Sequence[NestedKey] = (keys.ACTION, keys.GOAL_PREDICTION),
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
         written = choose_out_keys(out_keys, "the action", predicts_goal=goal_prediction)
-        built, size = build_encoder(encoder, in_channels, freeze=freeze_encoder)
+        built, size = build_encoder(encoder, in_channels + table_input, freeze=freeze_encoder)
         network = _ActorNetwork(
             built,
-            size + 1 + goal_input * GOAL_SIZE,
+            size + 1 + goal_input * GOAL_SIZE + table_input * PLANE_SIZE,
             bound_tensor(action_bound),
             hidden,
             predicts_goal=goal_prediction,
             freeze=freeze_encoder,
+            reads_table=table_input,
         )
         super().__init__(
             network,
-            in_keys=[*read, goal_key] if goal_input else read,
+            in_keys=[*read, *[goal_key] * goal_input, *[table_key] * table_input],
             out_keys=written,
         )
 
@@ -99,8 +106,9 @@ class _ActorNetwork(EncoderNetwork):
         *,
         predicts_goal: bool,
         freeze: bool,
+        reads_table: bool,
     ) -> None:
-        super().__init__(encoder, freeze=freeze)
+        super().__init__(encoder, freeze=freeze, reads_table=reads_table)
         self.action_head = head(feature_size, hidden, len(bound))
         shrink_last_layer(self.action_head, 0.1)
         self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None

@@ -14,6 +14,7 @@ from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_BOUND, GOAL_SIZE
 from torchgrasp.modules.heads import (
+    PLANE_SIZE,
     Encoder,
     EncoderNetwork,
     GoalHead,
@@ -46,11 +47,12 @@ class GraspCritic(TensorDictModule):
         action_bound: largest magnitude of each action component; its length is A.
         hidden: width of the heads.
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does.
+        table_input: also read the table's plane, as GraspActor does.
         goal_prediction: whether the critic predicts the goal.
         freeze_encoder: keep the encoder as it is; under early fusion gradients still pass through it
             to the action. A module is copied, as for GraspActor.
         in_keys: the encoder's input, time left and the action.
-        goal_key: what `goal_input` adds to `in_keys`, before the action.
+        goal_key, table_key: what `goal_input` and `table_input` add to `in_keys`, before the action.
         out_keys: the values, then the goal prediction where there is one.
 
     Example:
@@ -73,10 +75,12 @@ class GraspCritic(TensorDictModule):
         action_bound: Sequence[float] = ACTION_BOUND,
         hidden: int = 256,
         goal_input: bool = False,
+        table_input: bool = False,
         goal_prediction: bool = True,
         freeze_encoder: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT, keys.ACTION),
         goal_key: NestedKey = keys.GOAL,
+        table_key: NestedKey = keys.TABLE_PLANE,
         out_keys: Sequence[NestedKey] = (keys.STATE_ACTION_VALUE, keys.GOAL_PREDICTION),
     ) -> None:
         if fusion not in ("early", "late"):
@@ -87,8 +91,9 @@ class GraspCritic(TensorDictModule):
         written = choose_out_keys(out_keys, "the values", predicts_goal=goal_prediction)
         bound = bound_tensor(action_bound)
         early = fusion == "early"
-        built, size = build_encoder(encoder, in_channels + early * len(bound), freeze=freeze_encoder)
-        size += 1 + goal_input * GOAL_SIZE + (not early) * len(bound)
+        channels = in_channels + early * len(bound) + table_input
+        built, size = build_encoder(encoder, channels, freeze=freeze_encoder)
+        size += 1 + goal_input * GOAL_SIZE + table_input * PLANE_SIZE + (not early) * len(bound)
         network = _CriticNetwork(
             built,
             size,
@@ -98,10 +103,11 @@ class GraspCritic(TensorDictModule):
             early=early,
             predicts_goal=goal_prediction,
             freeze=freeze_encoder,
+            reads_table=table_input,
         )
         super().__init__(
             network,
-            in_keys=[*state, goal_key, action] if goal_input else [*state, action],
+            in_keys=[*state, *[goal_key] * goal_input, *[table_key] * table_input, action],
             out_keys=written,
         )
 
@@ -120,8 +126,9 @@ class _CriticNetwork(EncoderNetwork):
         early: bool,
         predicts_goal: bool,
         freeze: bool,
+        reads_table: bool,
     ) -> None:
-        super().__init__(encoder, freeze=freeze)
+        super().__init__(encoder, freeze=freeze, reads_table=reads_table)
         self.early, self.channel_dim = early, get_channel_dim(encoder)
         self.value_heads = nn.ModuleList(head(feature_size, hidden, 1) for _ in range(num_q))
         self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
@@ -132,7 +139,7 @@ class _CriticNetwork(EncoderNetwork):
         if self.early:
             observed = join_channels(observed, action, self.channel_dim)
         else:
-            vectors = (*vectors, action)
+            vectors = (action, *vectors)
         feature = self.encode(observed, *vectors, dtype=self.bound.dtype)
         values = torch.cat([value_head(feature) for value_head in self.value_heads], dim=-1)
         return values if self.goal_head is None else (values, self.goal_head(feature))

@@ -10,7 +10,14 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
 from torchgrasp import keys
-from torchgrasp.modules.heads import Encoder, EncoderNetwork, GoalHead, build_encoder, check_keys
+from torchgrasp.modules.heads import (
+    PLANE_SIZE,
+    Encoder,
+    EncoderNetwork,
+    GoalHead,
+    build_encoder,
+    check_keys,
+)
 
 
 class GoalPredictor(TensorDictModule):
@@ -24,8 +31,10 @@ class GoalPredictor(TensorDictModule):
         encoder: as for GraspActor.
         in_channels: C.
         hidden: width of the head.
+        table_input: also read the table's plane, as GraspActor does.
         in_keys: the encoder's input and time left.
         goal_key: what is written.
+        table_key: what `table_input` adds to `in_keys`.
 
     Example:
         >>> from tensordict import TensorDict
@@ -43,21 +52,24 @@ class GoalPredictor(TensorDictModule):
         *,
         in_channels: int = 4,
         hidden: int = 256,
+        table_input: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT),
         goal_key: NestedKey = keys.GOAL,
+        table_key: NestedKey = keys.TABLE_PLANE,
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
-        built, size = build_encoder(encoder, in_channels)
-        super().__init__(_GoalNetwork(built, size + 1, hidden), in_keys=read, out_keys=[goal_key])
+        built, size = build_encoder(encoder, in_channels + table_input)
+        network = _GoalNetwork(built, size + 1 + table_input * PLANE_SIZE, hidden, reads_table=table_input)
+        super().__init__(network, in_keys=[*read, *[table_key] * table_input], out_keys=[goal_key])
 
 
 class _GoalNetwork(EncoderNetwork):
-    def __init__(self, encoder: nn.Module, feature_size: int, hidden: int) -> None:
-        super().__init__(encoder)
+    def __init__(self, encoder: nn.Module, feature_size: int, hidden: int, *, reads_table: bool) -> None:
+        super().__init__(encoder, reads_table=reads_table)
         self.goal_head = GoalHead(feature_size, hidden)
 
-    def forward(self, observed: Tensor, time_left: Tensor) -> Tensor:
-        feature = self.encode(observed, time_left, dtype=self.goal_head.dtype)
+    def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor:
+        feature = self.encode(observed, *vectors, dtype=self.goal_head.dtype)
         goal = self.goal_head(feature)
         # q and -q are one rotation, but not one input: the labels that actors learn from have w >= 0.
         quaternion = torch.where(goal[..., -1:] < 0, -goal[..., 3:], goal[..., 3:])

@@ -13,6 +13,11 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import GOAL_SIZE
 from torchgrasp.modules.layers import mlp, shrink_last_layer
 
+# Heights are divided by it, as PointNet divides coordinates: about the size of an object, metres.
+_HEIGHT_SCALE = 0.1
+# Numbers of a plane: unit normal and distance.
+PLANE_SIZE = 4
+
 # An encoder, or what makes one for a number of input channels (in YAML: `_partial_: true`).
 Encoder = nn.Module | Callable[[int], nn.Module]
 
@@ -24,9 +29,14 @@ class EncoderNetwork(nn.Module):
     still pass through it to its input.
     """
 
-    def __init__(self, encoder: nn.Module, *, freeze: bool = False) -> None:
+    def __init__(self, encoder: nn.Module, *, freeze: bool = False, reads_table: bool = False) -> None:
         super().__init__()
-        self.encoder, self.encoder_is_frozen = encoder, freeze
+        self.encoder, self.encoder_is_frozen, self.reads_table = encoder, freeze, reads_table
+        if reads_table and get_channel_dim(encoder) != -1:
+            raise ConfigError(
+                f"table_input=True gives the points of a cloud their heights, and {type(encoder).__name__} "
+                "takes images: leave it out."
+            )
         if freeze:
             encoder.requires_grad_(False).eval()
 
@@ -38,13 +48,15 @@ class EncoderNetwork(nn.Module):
         return self
 
     def encode(self, observed: Tensor, *vectors: Tensor, dtype: torch.dtype) -> Tensor:
-        """The feature (*, F) of what is observed with vectors (*, D) beside it.
+        """The feature (*, F) of what is observed with vectors (*, D) beside it, the table's plane last.
 
         `dtype` is that of the network's weights, which is asked of one of them: in a loss, `parameters`
         finds none.
         """
         if observed.is_floating_point():
             observed = observed.to(dtype)
+        if self.reads_table:
+            observed = join_heights(observed, vectors[-1].to(observed.dtype))
         feature = self.encoder(observed)
         return torch.cat((feature, *(vector.to(feature.dtype) for vector in vectors)), dim=-1)
 
@@ -92,6 +104,13 @@ def join_channels(inputs: Tensor, vector: Tensor, dim: int) -> Tensor:
     shape[dim] = size
     joined = vector.to(inputs.dtype).reshape(*vector.shape[:-1], *inner).expand(shape)
     return torch.cat((inputs, joined), dim=dim)
+
+
+def join_heights(cloud: Tensor, plane: Tensor) -> Tensor:
+    """(*, N, C) clouds, xyz first, with one more channel: heights above `plane` (*, 4), in units of 10 cm."""
+    normal, distance = plane[..., None, :3], plane[..., None, 3:]
+    heights = (cloud[..., :3] * normal).sum(dim=-1, keepdim=True) + distance
+    return torch.cat((cloud, heights / _HEIGHT_SCALE), dim=-1)
 
 
 def check_keys(name: str, given: Sequence[NestedKey], meaning: Sequence[str]) -> list[NestedKey]:

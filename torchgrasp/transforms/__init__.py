@@ -14,3 +14,4 @@ from torchgrasp.transforms.image import CameraImage as CameraImage
 from torchgrasp.transforms.mirror import RandomMirror as RandomMirror
 from torchgrasp.transforms.pose_error import CameraPoseError as CameraPoseError
 from torchgrasp.transforms.sample import SamplePoints as SamplePoints
+from torchgrasp.transforms.table import TablePlane as TablePlane

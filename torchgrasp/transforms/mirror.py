@@ -24,6 +24,7 @@ class RandomMirror(Transform):
         point_keys: clouds (*, N, C), xyz first.
         action_keys: relative poses (*, 6), translation and intrinsic XYZ Euler angles.
         goal_keys: poses (*, 7), translation and quaternion xyzw.
+        plane_keys: planes (*, 4), normal and distance.
         generator: of the draws; torch's own without one.
 
     Example:
@@ -39,10 +40,12 @@ class RandomMirror(Transform):
         point_keys: Sequence[NestedKey] = (keys.POINTS, ("next", keys.POINTS)),
         action_keys: Sequence[NestedKey] = (keys.ACTION, keys.EXPERT_ACTION),
         goal_keys: Sequence[NestedKey] = (keys.GOAL, ("next", keys.GOAL)),
+        plane_keys: Sequence[NestedKey] = (keys.TABLE_PLANE, ("next", keys.TABLE_PLANE)),
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
         self._points, self._actions, self._goals = tuple(point_keys), tuple(action_keys), tuple(goal_keys)
+        self._planes = tuple(plane_keys)
         self._generator = generator
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -59,6 +62,7 @@ class RandomMirror(Transform):
         # S R S for S = diag(sx, sy, 1): a turn about an axis keeps its sense or loses it.
         position, turn = (sx, sy, one), (sy, sx, sx * sy)
         self._scale(tensordict, self._points, torch.stack(position, dim=-1)[..., None, :])
+        self._scale(tensordict, self._planes, torch.stack(position, dim=-1))
         self._scale(tensordict, self._actions, torch.stack((*position, *turn), dim=-1))
         self._scale(tensordict, self._goals, torch.stack((*position, *turn, one), dim=-1))
         return tensordict
