@@ -87,10 +87,10 @@ def join_policy(networks: dict[str, TensorDictModuleBase]) -> TensorDictModuleBa
 
 
 def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> CompactTransitions:
-    """How transitions are stored: `replay.codec`, goal and table as states where a network reads them."""
+    """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
     states = list(cfg.replay.codec.state_keys)
     read = {key for each in networks.values() for key in each.in_keys}
-    states += [key for key in (keys.GOAL, keys.TABLE_PLANE) if key in read and key not in states]
+    states += [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
     codec = instantiate(cfg.replay.codec, state_keys=states)
     if absent := read - {keys.ACTION} - set(codec.observation_keys):
         raise ConfigError(
@@ -111,7 +111,7 @@ def make_row(
     shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
     if absent := [key for key in codec.observation_keys if key not in shapes]:
         raise ConfigError(
-            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, or choose "
+            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points and transforms.table, or choose "
             "transforms=rgb, rgbd or rgbdm with replay=images."
         )
     row = codec.example_row(shapes)
