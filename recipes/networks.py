@@ -111,8 +111,8 @@ def make_row(
     shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
     if absent := [key for key in codec.observation_keys if key not in shapes]:
         raise ConfigError(
-            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points and transforms.table, or choose "
-            "transforms=rgb, rgbd or rgbdm with replay=images."
+            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points and "
+            "transforms.table, or choose transforms=rgb, rgbd or rgbdm with replay=images."
         )
     row = codec.example_row(shapes)
     if augment is not None:
