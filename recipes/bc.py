@@ -70,12 +70,12 @@ def imitate(
     """
     actors = make_actors(cfg, learner)
     learner.experience.draw_all(labelled=True)
-    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="imitation")
+    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="more imitation")
     for number in iterations:
-        success_rate = None
         if not cfg.offline.updates:
             actor = cfg.online.rollouts[number % len(cfg.online.rollouts)]
-            episodes, success_rate = stages.run_round(cfg, learner, pool, actors[actor])
+            episodes = stages.run_round(cfg, learner, pool, actors[actor])
+            learner.note_successes(episodes if actor == "learner" else ())
             for episode in episodes:
                 if actor == "learner" or episode.success:  # D_expert holds successes alone (Sec. 6.4)
                     learner.experience.add(episode)
@@ -83,7 +83,7 @@ def imitate(
         metrics: dict[str, float] = {}
         for _ in range(learner.updates_ahead):
             metrics |= learner.imitate(learner.experience.sample())
-        iterations.done(metrics, success_rate)
+        iterations.done(metrics)
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="bc")

@@ -47,7 +47,8 @@ def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: Episode
     learner.begin_reinforcement()
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="fine-tuning")
     for _ in iterations:
-        episodes, success_rate = stages.run_round(cfg, learner, pool, policy)
+        episodes = stages.run_round(cfg, learner, pool, policy)
+        learner.note_successes(episodes)
         for episode in episodes:
             relabel(episode.steps)  # where it succeeded, the pose that it reached
             learner.experience.add(episode)
@@ -58,7 +59,7 @@ def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: Episode
             metrics |= learner.update_critic(batch)
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
-        iterations.done(metrics, success_rate)
+        iterations.done(metrics)
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="hindsight")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from torchgrasp.data.files import find_folder
 from torchgrasp.errors import CheckpointError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, functional
 from torchgrasp.training import (
+    Episode,
     cosine_schedule,
     get_rng_state,
     load_checkpoint,
@@ -170,10 +171,14 @@ class Imitator:
             for group in optimizer.param_groups:
                 group["lr"] = rate
 
-    def note_successes(self, successes: list[bool]) -> float:
-        """Success rate of the last 200 episodes, these included."""
-        self._recent.extend(successes)
-        return sum(self._recent) / len(self._recent)
+    def note_successes(self, episodes: Iterable[Episode]) -> None:
+        """Count these episodes of the learner in its success rate."""
+        self._recent.extend(episode.success for episode in episodes)
+
+    @property
+    def success_rate(self) -> float | None:
+        """Of the learner's last 200 episodes; None before the first."""
+        return sum(self._recent) / len(self._recent) if self._recent else None
 
     def checkpoint(self, run_dir: Path) -> None:
         """Write everything that a resumed run needs, all or nothing."""

@@ -52,7 +52,7 @@ def load_acting(path: Path, *, critic: bool = False) -> dict[str, TensorDictModu
 
 
 def forget_encoder_files(model: DictConfig) -> None:
-    """Have no encoder of trained networks begin with a file of its own, which need not be there any longer."""
+    """Have no encoder of trained networks begin with a file of its own: it need not be there."""
     for name in ("actor", "critic", "goal_network"):
         if OmegaConf.select(model, f"{name}.encoder.weights") is not None:
             model[name].encoder.weights = None

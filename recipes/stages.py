@@ -70,10 +70,8 @@ def measure_once(cfg: DictConfig, learner: Imitator, pool: EpisodePool, run_dir:
         learner.checkpoint(run_dir)
 
 
-def run_round(
-    cfg: DictConfig, learner: Imitator, pool: EpisodePool, policy: Callable
-) -> tuple[list[Episode], float]:
-    """An iteration's episodes, each counted, and the success rate of the last ones."""
+def run_round(cfg: DictConfig, learner: Imitator, pool: EpisodePool, policy: Callable) -> list[Episode]:
+    """An iteration's episodes, their steps counted."""
     rounds = count_rounds(cfg)
     start = common.ONLINE_EPISODES + learner.iterations * rounds
     batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
@@ -81,7 +79,7 @@ def run_round(
     num_steps = sum(len(episode.steps) for episode in episodes)
     learner.noise.step(num_steps)
     learner.env_steps += num_steps
-    return episodes, learner.note_successes([episode.success for episode in episodes])
+    return episodes
 
 
 class Iterations:
@@ -126,16 +124,17 @@ class Iterations:
         self._before = self._position()
         return learner.iterations
 
-    def done(self, metrics: dict[str, float], success_rate: float | None) -> None:
-        """Count the iteration; log it, and save it in its turn."""
+    def done(self, metrics: dict[str, float]) -> None:
+        """Count the iteration; log it with the learner's success rate, and save it in its turn."""
         learner = self._learner
-        rate = {} if success_rate is None else {"train/success_rate": success_rate}
-        self._logger.log(learner.gradient_steps, {**metrics, "env_steps": learner.env_steps, **rate})
+        rate = learner.success_rate
+        shown = {} if rate is None else {"train/success_rate": rate}
+        self._logger.log(learner.gradient_steps, {**metrics, "env_steps": learner.env_steps, **shown})
         learner.iterations += 1
         if learner.iterations % self._cfg.checkpoint.iterations == 0:
             learner.checkpoint(self._run_dir)
-        shown = {} if success_rate is None else {"success_rate": success_rate}
-        self._progress.update(self._position() - self._before, **shown)
+        told = {} if rate is None else {"success_rate": rate}
+        self._progress.update(self._position() - self._before, **told)
 
 
 def conclude(

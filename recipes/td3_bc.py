@@ -49,9 +49,9 @@ def reinforce(
     learner.begin_reinforcement()
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="reinforcement")
     for _ in iterations:
-        success_rate = None
         if not cfg.offline.updates:
-            episodes, success_rate = stages.run_round(cfg, learner, pool, policy)
+            episodes = stages.run_round(cfg, learner, pool, policy)
+            learner.note_successes(episodes)
             for episode in episodes:
                 if not cfg.online.dagger:
                     without_expert(episode.steps)
@@ -63,7 +63,7 @@ def reinforce(
             metrics |= learner.update_critic(batch)
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
-        iterations.done(metrics, success_rate)
+        iterations.done(metrics)
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
