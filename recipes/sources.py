@@ -75,6 +75,8 @@ def list_demonstrations(cfg: DictConfig) -> dict[str, DictConfig]:
     demos = cfg.demonstrations
     first = {name: demos[name] for name in _OPTIONS}
     sources = _find_kinds(first) or {"expert": first}
+    if not isinstance(demos.more, Mapping | None):
+        raise ConfigError(f"demonstrations.more={demos.more}: give {{name: {{kind: ...}}}}, or null.")
     for name, given in (demos.more or {}).items():
         sources[str(name)] = _complete(str(name), given, first["steps"])
     plain: Any = OmegaConf.to_container(cfg)

@@ -1,7 +1,5 @@
 """recipes/bc.py: who acts, what is learned from, and that no critic is there."""
 
-import json
-
 import bc
 import pytest
 import td3_bc
@@ -9,7 +7,7 @@ import torch
 from evaluate import evaluate
 from omegaconf import OmegaConf
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.training import load_checkpoint, load_weights
 
 SHORT = ["evaluation.baselines=[]", "evaluation.episodes=2"]
@@ -66,20 +64,19 @@ def test_who_acts_and_who_labels(composed, tmp_path, rollouts):
         assert bool(rows["episode_success"].all())
 
 
-def test_a_run_goes_on_where_it_was_stopped(run_recipe, tmp_path):
-    short = ["experiment=smoke", "evaluation.baselines=[]", "evaluation.episodes=2"]
-    code, _, err = run_recipe("bc", *short, "total_env_steps=12")
-    assert code == 0, err
+def test_a_run_goes_on_where_it_was_stopped(composed, tmp_path):
+    first = bc.train(composed("experiment=smoke", "total_env_steps=12", *SHORT, recipe="bc"))
     run_dir = find_run(tmp_path)
-    first = json.loads((run_dir / "summary.json").read_text())
-    code, _, err = run_recipe("bc", f"resume={run_dir}", "total_env_steps=24")
-    assert code == 0, err
-    second = json.loads((run_dir / "summary.json").read_text())
-    assert first["gradient_steps"] == 9 and second["gradient_steps"] == 12
+    stored = OmegaConf.load(run_dir / ".config_unresolved.yaml")
+    stored.total_env_steps = 24
+    OmegaConf.save(stored, run_dir / ".config_unresolved.yaml")
+    second = bc.train(composed(f"resume={run_dir}", recipe="bc"))
+    assert first["gradient_steps"] == 6 + 3 and second["gradient_steps"] == 6 + 3 + 3
+    assert second["env_steps"] >= 24
     name = "policy after imitation alone"
     assert first["comparison"][name] == second["comparison"][name]
-    code, _, err = run_recipe("td3_bc", f"resume={run_dir}")
-    assert code == 1 and "is no run directory of td3_bc" in err and "Traceback" not in err
+    with pytest.raises(CheckpointError, match="is no run directory of td3_bc"):
+        td3_bc.train(composed(f"resume={run_dir}"))
 
 
 def test_what_cannot_be_is_refused(composed):

@@ -24,6 +24,7 @@ CELLS = sorted(
 )
 _AUX = ("model.actor.goal_prediction", "model.critic.goal_prediction")
 _READ = ("model.actor.goal_input", "model.critic.goal_input")
+_TABLE_5 = {"offline.updates": "auto", "evaluation.grasp_prediction": True}
 _IMAGES = {"camera._target_": "torchgrasp.sim.RenderCamera", "replay.codec.points_key": None}
 # What the name of each cell promises at every scale.
 PROMISED = {
@@ -47,12 +48,8 @@ PROMISED = {
     "table3/late_fusion": {"model.critic.fusion": "late"},
     "table3/no_expert_start": {"collector.expert_start.probability": 0.0},
     "table3/l2": {"loss.distance.norm": "l2", "loss.goal_distance.norm": "l2"},
-    "table5/goal_auxiliary": {"offline.updates": "auto", "evaluation.grasp_prediction": True, _AUX[0]: True},
-    "table5/goal_conditioned": {
-        "offline.updates": "auto",
-        "evaluation.grasp_prediction": True,
-        _READ[0]: True,
-    },
+    "table5/goal_auxiliary": {**_TABLE_5, _AUX[0]: True},
+    "table5/goal_conditioned": {**_TABLE_5, _READ[0]: True},
     "hindsight/normal": {"loss.hindsight": True, "env.physics.friction": 1.0, "objects.split": "test"},
     "hindsight/low_friction": {"loss.hindsight": True, "env.physics.friction": 0.3, "objects.split": "test"},
     "moving/hindsight": {"env.target_motion": "static", "evaluation.target_motion": "jitter"},
@@ -110,7 +107,7 @@ def test_training_sees_no_object_of_the_evaluation(compose_cell, cell):
 
 
 def test_offline_cells_update_as_often_as_online_ones(compose_cell):
-    """33,600 steps of 30, 14 episodes an iteration: 80 iterations of 40 updates; 120,000 failures on 50,000."""
+    """33,600 steps of 30, 14 episodes an iteration: 80 times 40 updates; 120,000 failures beside 50,000."""
     laptop, paper = (compose_cell("table3/offline", scale) for scale in ("laptop", "paper"))
     assert count_offline_updates(laptop) == 3200
     assert count_offline_updates(paper) == 7143 * 20

@@ -28,13 +28,14 @@ def test_offline_learns_from_successes_and_from_failures_without_labels(composed
 
 
 def test_without_dagger_the_learners_steps_keep_goals_but_no_expert(composed, tmp_path):
-    td3_bc.train(composed("experiment=[smoke,table3/no_dagger]", *SHORT))
+    td3_bc.train(composed("experiment=[smoke,table3/no_dagger]", "total_env_steps=12", *SHORT))
     rows = stored_rows(find_run(tmp_path, "td3_bc"), "online")
     assert not rows["has_expert"].any() and rows["has_goal"].float().mean() > 0.5
 
 
 def test_batches_draw_by_steps_or_by_weight(composed, tmp_path):
-    more = "demonstrations.more={failed: {kind: failed, steps: 24, labels: false}, other: {kind: expert, steps: 24%s}}"
+    failed, other = "{kind: failed, steps: 24, labels: false}", "{kind: expert, steps: 24%s}"
+    more = f"demonstrations.more={{failed: {failed}, other: {other}}}"
     shares = []
     for weight in ("", ", weight: 0"):
         cfg = composed("experiment=smoke", "replay.online_fraction=0.5", more % weight)
@@ -58,13 +59,15 @@ def test_a_folder_of_kinds_is_a_source_each(composed, tmp_path):
         cfg = composed("experiment=smoke", f"demonstrations.kind={kind}", "demonstrations.steps=12")
         with common.make_pool(cfg) as pool:
             collect.collect(cfg, pool, tmp_path / "kinds" / kind)
-    cfg = composed("experiment=smoke", f"demonstrations.path={tmp_path / 'kinds'}", *SHORT)
+    cfg = composed(
+        "experiment=smoke", f"demonstrations.path={tmp_path / 'kinds'}", "total_env_steps=0", *SHORT
+    )
     found = list_demonstrations(cfg)
     assert {name: each.demonstrations.kind for name, each in found.items()} == {
         "expert": "expert",
         "failed": "failed",
     }
-    summary = td3_bc.train(composed("experiment=smoke", f"demonstrations.path={tmp_path / 'kinds'}", *SHORT))
+    summary = td3_bc.train(cfg)
     assert summary["demonstrations"]["kind"] == "expert" and "failed" in summary["more_demonstrations"]
     shutil.move(tmp_path / "kinds" / "failed", tmp_path / "kinds" / "online")
     with pytest.raises(ConfigError, match="rename the folder"):
