@@ -18,7 +18,8 @@ import policies
 import settings
 from hydra.utils import instantiate
 from omegaconf import DictConfig
-from origin import SHARD_ROUNDS, SHARED, check_enough, check_learner, check_origin, describe_origin
+from origin import SHARD_ROUNDS, check_learner, check_origin, describe_origin, take_given
+from sources import Source, list_demonstrations
 from tensordict.nn import TensorDictSequential
 
 from torchgrasp.data import append_shard, begin_demonstrations, count_shards, open_demonstrations
@@ -101,7 +102,12 @@ def make_collector(cfg: DictConfig) -> TensorDictSequential:
         if cfg.demonstrations.expert_start:
             modules.append(instantiate(cfg.collector.expert_start))
         return TensorDictSequential(*modules)
-    modules = [common.make_expert(cfg, "train")]
+    return make_demonstrator(cfg, kind)
+
+
+def make_demonstrator(cfg: DictConfig, kind: str) -> TensorDictSequential:
+    """The expert as it acts in demonstrations of a kind: disturbed, unless that is `expert`."""
+    modules: list = [common.make_expert(cfg, "train")]
     if kind in settings.DISTURBANCE:
         modules.append(instantiate(cfg.collector[settings.DISTURBANCE[kind]]))
     return TensorDictSequential(*modules)
@@ -121,18 +127,17 @@ def _check_hope(cfg: DictConfig, card: dict, have: int) -> None:
     )
 
 
-def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> Path:
-    """The folder of demonstrations that was given, or one below `run_dir`, collected as configured."""
-    if cfg.demonstrations.path is None:
-        collect(cfg, pool, run_dir / "demonstrations")
-        return run_dir / "demonstrations"
-    path = Path(cfg.demonstrations.path)
-    if not count_shards(path):
-        raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
-    card = begin_demonstrations(path, kind=cfg.demonstrations.kind)
-    check_origin(describe_origin(cfg), path, card, SHARED)
-    check_enough(cfg, path)
-    return path
+def demonstrations(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> list[Source]:
+    """The sources of demonstrations: folders that were given, or below `run_dir`, collected as configured."""
+    sources = []
+    for name, each in list_demonstrations(cfg).items():
+        if each.demonstrations.path is not None:
+            sources.append(take_given(each, name))
+            continue
+        path = run_dir / ("demonstrations" if name == "expert" else f"demonstrations_{name}")
+        collect(each, pool, path)
+        sources.append(Source.of(each, name, path))
+    return sources
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")

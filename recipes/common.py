@@ -64,6 +64,8 @@ def make_env(cfg: DictConfig, split: str) -> TransformedEnv:
     options = {"seed": cfg.seed}
     if split == "test":
         options = {"seed": cfg.evaluation.seed, "num_envs": cfg.evaluation.num_envs}
+        if (motion := cfg.evaluation.get("target_motion")) is not None:
+            options["target_motion"] = motion
     cameras = {"camera": instantiate(cfg.camera), "overhead": instantiate(cfg.overhead)}
     env: GraspEnv = instantiate(cfg.env, objects=make_objects(cfg, split), **cameras, **options)
     return TransformedEnv(env, Compose(*(instantiate(each) for each in cfg.transforms.values())))

@@ -41,20 +41,33 @@ def make_networks(model: DictConfig, *, critic: bool = True) -> dict[str, Tensor
 
 
 def load_acting(path: Path, *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
-    """The trained networks that act, of a run directory or weights file; the critic on demand."""
+    """The trained networks that act, of a run directory or weights file; on demand the critic, if any."""
     states, config = load_weights(weights_file(path))
+    critic = critic and "critic" in states
     cfg: Any = OmegaConf.create(config["model"])
-    for name in ("actor", "critic", "goal_network"):  # no encoder starts from a file of its own
-        if OmegaConf.select(cfg, f"{name}.encoder.weights") is not None:
-            cfg[name].encoder.weights = None
+    forget_encoder_files(cfg)
     networks = make_networks(cfg, critic=critic)
     _give(networks, states, path)
     return networks
 
 
+def forget_encoder_files(model: DictConfig) -> None:
+    """Have no encoder of trained networks begin with a file of its own: it need not be there."""
+    for name in ("actor", "critic", "goal_network"):
+        if OmegaConf.select(model, f"{name}.encoder.weights") is not None:
+            model[name].encoder.weights = None
+
+
 def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> None:
-    """Give the networks the weights of the same names in a run directory or weights file."""
-    _give(networks, load_weights(weights_file(path))[0], path)
+    """Give the networks the weights of the same names in a run directory or weights file.
+
+    A critic stays as it is where imitation alone, which trains none, has left the file.
+    """
+    states, config = load_weights(weights_file(path))
+    if config.get("recipe") == "bc" and "critic" in networks:
+        print(f"{path} was trained by imitation: the critic begins anew.")
+        networks = {name: each for name, each in networks.items() if name != "critic"}
+    _give(networks, states, path)
 
 
 def _give(

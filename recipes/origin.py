@@ -7,10 +7,11 @@ from typing import Any
 
 import settings
 from omegaconf import DictConfig, OmegaConf
+from sources import Source
 from tensordict import TensorDictBase
 
 from torchgrasp import keys
-from torchgrasp.data import Demonstrations, open_demonstrations
+from torchgrasp.data import Demonstrations, begin_demonstrations, count_shards, open_demonstrations
 from torchgrasp.data.files import describe_file
 from torchgrasp.data.kinds import COUNTED, resolve_count
 from torchgrasp.errors import ConfigError
@@ -37,7 +38,8 @@ def describe_origin(cfg: DictConfig) -> dict[str, Any]:
     if demos.kind in settings.DISTURBANCE:
         origin["disturb"] = plain["collector"][settings.DISTURBANCE[demos.kind]]
     if demos.kind == "learner":
-        origin["policy"] = describe_file(settings.weights_file(Path(str(demos.policy))))
+        policy = None if demos.policy is None else settings.weights_file(Path(str(demos.policy)))
+        origin["policy"] = None if policy is None else describe_file(policy)
         origin["expert_start"] = plain["collector"]["expert_start"] if demos.expert_start else None
     return origin
 
@@ -59,6 +61,17 @@ def check_origin(ours: dict, path: Path, card: dict, names: tuple[str, ...] = ()
             f"The demonstrations in {path} were collected with another {', '.join(differing)}: "
             f"configure that as {path / 'card.json'} tells, or give another folder."
         )
+
+
+def take_given(cfg: DictConfig, name: str) -> Source:
+    """The source in the folder `demonstrations.path`, which fits the configuration."""
+    path = Path(str(cfg.demonstrations.path))
+    if not count_shards(path):
+        raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
+    card = begin_demonstrations(path, kind=cfg.demonstrations.kind)
+    check_origin(describe_origin(cfg), path, card, SHARED)
+    check_enough(cfg, path)
+    return Source.of(cfg, name, path)
 
 
 def check_rows(opened: Demonstrations, row: TensorDictBase) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import common
@@ -24,27 +24,33 @@ KEPT = (*common.KEPT, keys.T_BASE_OBJECT, keys.OBJECT_ID, keys.GRASP_PREDICTION)
 
 
 def make_predictors(name: str) -> dict[str, TensorDictModuleBase]:
-    """The networks of policy `name` that predict grasps, each behind the goal network if it reads goals.
-
-    A critic that reads goals where the actor has no goal network is left out: it is told the answer.
-    """
+    """The networks of policy `name` that predict grasps."""
     if name in POLICIES:
         raise ConfigError(
             f"grasp_prediction=true with policy={name}, which predicts no grasps: give a run directory or a "
             "weights file."
         )
-    networks = load_acting(Path(name), critic=True)
+    return find_predictors(load_acting(Path(name), critic=True))
+
+
+def find_predictors(networks: Mapping[str, TensorDictModuleBase]) -> dict[str, TensorDictModuleBase]:
+    """Those of a policy's networks that predict grasps, each behind the goal network if it reads goals.
+
+    A critic that reads goals where the actor has no goal network is left out: it is told the answer.
+    """
     goal_network = networks.get("goal_network")
     predictors = {} if goal_network is None else {"goal_network": goal_network}
     for each in ("actor", "critic"):
-        if predicts_goal(networks[each]) and not reads_goal(networks[each]):
+        if each not in networks or not predicts_goal(networks[each]):
+            continue
+        if not reads_goal(networks[each]):
             predictors[each] = networks[each]
-        elif predicts_goal(networks[each]) and goal_network is not None:
+        elif goal_network is not None:
             modules: list = [goal_network, networks[each]]
             predictors[each] = TensorDictSequential(*modules)
     if not predictors:
         raise ConfigError(
-            f"grasp_prediction=true with policy={name}, whose networks predict no goal: train with "
+            "grasp_prediction=true with networks that predict no goal: train with "
             "model.actor.goal_prediction=true, or leave grasp_prediction out."
         )
     return predictors

@@ -12,7 +12,9 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from sources import list_demonstrations
 
+from torchgrasp.data import count_shards
 from torchgrasp.data.kinds import check_kind, resolve_count
 from torchgrasp.errors import CheckpointError, ConfigError, check_range, check_whole
 from torchgrasp.training import load_weights, make_run_dir
@@ -43,6 +45,7 @@ _AT_LEAST = {
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),
+    *("evaluation.grasp_prediction", "online.dagger"),
     *(
         f"model.{network}.{name}"
         for network in ("actor", "critic")
@@ -62,6 +65,7 @@ def check_values(cfg: DictConfig) -> None:
     for name, low in _AT_LEAST.items():
         value = OmegaConf.select(cfg, name, default=low)
         check_whole(name, value, low)
+    _check_offline(cfg)
     check_range("video.fps", OmegaConf.select(cfg, "video.fps", default=1), 1, 1000)
     for name in _SWITCHES:
         value = OmegaConf.select(cfg, name, default=False)
@@ -72,10 +76,21 @@ def check_values(cfg: DictConfig) -> None:
             raise ConfigError(f"evaluation.baselines names {name!r}: choose from expert and random.")
     check_device(str(OmegaConf.select(cfg, "device", default="cpu")))
     if "demonstrations" in cfg:
-        _check_demonstrations(cfg.demonstrations)
-        _check_collector(cfg)
+        for each in list_demonstrations(cfg).values():
+            _check_demonstrations(each.demonstrations)
+            _check_collector(each)
         if cfg.init is not None and not weights_file(Path(str(cfg.init))).is_file():
             raise ConfigError(f"init={cfg.init}: give a run directory or a weights file.")
+
+
+def _check_offline(cfg: DictConfig) -> None:
+    updates = OmegaConf.select(cfg, "offline.updates", default=0)
+    if updates != "auto":
+        check_whole("offline.updates", updates, 0)
+    elif not cfg.total_env_steps:
+        raise ConfigError(
+            "offline.updates=auto makes as many as total_env_steps would, which is 0: give their number."
+        )
 
 
 def check_device(name: str) -> None:
@@ -90,7 +105,12 @@ def check_device(name: str) -> None:
 def _check_demonstrations(demonstrations: DictConfig) -> None:
     kind, policy = demonstrations.kind, demonstrations.policy
     resolve_count(demonstrations.count, check_kind(kind))
-    if (kind == "learner") != (policy is not None):
+    if not isinstance(demonstrations.labels, bool):
+        raise ConfigError(f"demonstrations.labels={demonstrations.labels} is no switch: give true or false.")
+    if demonstrations.weight is not None:
+        check_range("demonstrations.weight", demonstrations.weight, 0.0, float("inf"))
+    given = demonstrations.path is not None and count_shards(demonstrations.path) > 0
+    if (kind == "learner") != (policy is not None) and not (given and policy is None):
         raise ConfigError(
             f"demonstrations.kind={kind} with demonstrations.policy={policy}: the kind learner needs a "
             "policy, a run directory or weights file; no other kind takes one."
@@ -114,10 +134,12 @@ def _check_collector(cfg: DictConfig) -> None:
             )
 
 
-def resumed(cfg: DictConfig) -> DictConfig:
+def resumed(cfg: DictConfig, recipe: str) -> DictConfig:
     """The configuration itself, or with `resume` that of the run resumed, changed by what was given."""
+    if cfg.recipe != recipe:
+        raise ConfigError(f"This experiment is for recipes/{cfg.recipe}.py: run it by that, not {recipe}.py.")
     if cfg.resume is not None:
-        stored = _read(Path(cfg.resume) / _UNRESOLVED, f"resume={cfg.resume}")
+        stored = _read(Path(cfg.resume) / _UNRESOLVED, f"resume={cfg.resume}", recipe)
         cfg = _merge(stored, _given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
     check_values(cfg)
     return cfg
@@ -140,7 +162,7 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
     cfg = _merge(OmegaConf.to_container(cfg))
     if cfg.protocol not in _PROTOCOLS:
         raise ConfigError(f"protocol={cfg.protocol!r} is unknown: give one of {', '.join(_PROTOCOLS)}.")
-    given = _given_names()
+    given = given_names()
     changes = {name: value for name, value in _PROTOCOLS[cfg.protocol].items() if f"env.{name}" not in given}
     cfg = _merge(cfg, {"env": changes})
     if cfg.protocol == "tabletop" and cfg.env.start._target_ != _TABLETOP["_target_"]:
@@ -158,7 +180,7 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
         cfg = _merge(plain, {**kept, "env": task}, given)
     # objects.split=... and objects.num_objects=... say which objects, as everywhere.
     chosen = {
-        name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in _given_names()
+        name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in given_names()
     }
     own = {"episodes": cfg.episodes, "seed": cfg.seed}
     return _merge(cfg, {"evaluation": {**own, **chosen}})
@@ -186,7 +208,7 @@ def _learned(cfg: DictConfig) -> tuple[str, Path | None]:
     return option, Path(name)
 
 
-def _given_names() -> list[str]:
+def given_names() -> list[str]:
     """Names of all values on the command line."""
     tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
     return [each.lstrip("+~").split("=")[0] for each in tasks]
@@ -217,15 +239,18 @@ def _merge(*parts: Any) -> DictConfig:
     return merged
 
 
-def _read(file: Path, option: str) -> DictConfig:
+def _read(file: Path, option: str, recipe: str) -> DictConfig:
     if not file.is_file():
-        raise CheckpointError(f"{option} is no run directory of td3_bc ({file.name} is not in it).")
+        raise CheckpointError(f"{option} is no run directory of {recipe} ({file.name} is not in it).")
     try:
         stored: Any = OmegaConf.load(file)
     except (yaml.YAMLError, OmegaConfBaseException, OSError) as error:
         raise CheckpointError(f"{file} cannot be read ({error}): restore it from a copy.") from error
-    if not isinstance(stored, DictConfig) or "pretrain" not in stored:
-        raise CheckpointError(f"{option} is no run directory of td3_bc: {file} is of another kind.")
+    kind = stored.get("recipe") if isinstance(stored, DictConfig) else None
+    if kind != recipe:
+        raise CheckpointError(
+            f"{option} is no run directory of {recipe}: {file} is of {kind or 'another kind'}."
+        )
     return stored
 
 

@@ -1,7 +1,8 @@
 """Goal-auxiliary actor-critic: demonstrations, imitation, reinforcement with DAgger labels, the proof.
 
-python recipes/td3_bc.py                      # minutes on two cores (experiment=laptop)
-python recipes/td3_bc.py experiment=paper     # Sec. 6.4 to the letter
+python recipes/td3_bc.py                         # minutes on two cores (experiment=laptop)
+python recipes/td3_bc.py experiment=paper        # Sec. 6.4 to the letter
+python recipes/td3_bc.py offline.updates=5000    # from demonstrations alone
 python recipes/td3_bc.py resume=outputs/td3_bc/<date_time>
 """
 
@@ -9,137 +10,60 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import albums
 import collect
 import common
 import hydra
-import policies
-import reports
 import settings
+import stages
 from learner import Learner
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
+from sources import without_expert
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.training import (
-    EpisodePool,
-    MetricsLogger,
-    Progress,
-    Stopwatch,
-    one_line_errors,
-    save_weights,
-    write_summary,
-)
+from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
 
 
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
-    cfg = settings.resumed(cfg)
+    cfg = settings.resumed(cfg, "td3_bc")
     learner = Learner(cfg, common.observed_shapes(cfg))
     run_dir = settings.open_run(cfg, "td3_bc")
-    with common.make_pool(cfg) as pool:
+    with stages.make_pool(cfg) as pool:
         common.prepare_objects(cfg)
-        learner.make_buffer(collect.demonstrations(cfg, pool, run_dir))
-        resumed = learner.resume(run_dir)
-        if not resumed:
-            learner.load_demonstrations()
-        logger = MetricsLogger(
-            run_dir,
-            resume_step=learner.gradient_steps + 1 if resumed else None,
-            tensorboard=cfg.logger.tensorboard,
-        )
-        pretrain(cfg, learner, logger, run_dir)
-        if cfg.pretrain.steps and cfg.total_env_steps and "bc" not in learner.results:
-            learner.results["bc"] = common.evaluate(cfg, pool, learner.policy, "imitation alone")
-            learner.checkpoint(run_dir)
+        logger = stages.begin(cfg, learner, collect.demonstrations(cfg, pool, run_dir), run_dir)
+        stages.pretrain(cfg, learner, logger, pool, run_dir)
         reinforce(cfg, learner, logger, pool, run_dir)
-        save_weights(
-            run_dir / "weights.safetensors",
-            learner.networks,
-            OmegaConf.to_container(cfg, resolve=True),  # pyright: ignore[reportArgumentType]
-        )
-        return conclude(cfg, learner, logger, pool, run_dir)
-
-
-def pretrain(cfg: DictConfig, learner: Learner, logger: MetricsLogger, run_dir: Path) -> None:
-    """Imitation and goal prediction on D_expert alone (Sec. 3.3)."""
-    progress = Progress(
-        cfg.pretrain.steps, initial=learner.pretrain_steps, description="imitation", unit="update"
-    )
-    learner.begin_imitation()
-    stopwatch = Stopwatch()
-    while learner.pretrain_steps < cfg.pretrain.steps:
-        stopwatch.lap("other")
-        metrics = learner.imitate(learner.buffer.sample(cfg.pretrain.batch_size).to(cfg.device))
-        stopwatch.lap("updates", 1)
-        if learner.pretrain_steps % 50 == 0 or learner.pretrain_steps == cfg.pretrain.steps:
-            logger.log(learner.gradient_steps, {**metrics, **stopwatch.measure()})
-        if learner.pretrain_steps % cfg.checkpoint.steps == 0:
-            learner.checkpoint(run_dir)
-        progress.update()
-    progress.close()
+        return stages.conclude(cfg, learner, logger, pool, run_dir)
 
 
 def reinforce(
     cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> None:
-    """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4)."""
-    rounds = -(-cfg.collector.episodes // cfg.env.num_envs)
+    """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4).
+
+    Offline there are no rollouts: the same updates on demonstrations alone.
+    """
     labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
     policy = TensorDictSequential(*modules)
-    progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
     learner.begin_reinforcement()
-    stopwatch = Stopwatch()
-    while learner.env_steps < cfg.total_env_steps:
-        stopwatch.lap("other")
-        learner.set_rates(learner.env_steps / cfg.total_env_steps)
-        start = common.ONLINE_EPISODES + learner.iterations * rounds
-        batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
-        episodes = [episode for batch in batches for episode in batch]
-        num_steps = sum(len(episode.steps) for episode in episodes)
-        for episode in episodes:
-            learner.buffer.extend(episode.steps[None], source="online")
-        learner.noise.step(num_steps)
-        learner.env_steps += num_steps
-        learner.iterations += 1
-        success_rate = learner.note_successes([episode.success for episode in episodes])
-        stopwatch.lap("rollouts", num_steps, of="env_steps")
+    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="reinforcement")
+    for _ in iterations:
+        if not cfg.offline.updates:
+            episodes = stages.run_round(cfg, learner, pool, policy)
+            learner.note_successes(episodes)
+            for episode in episodes:
+                if not cfg.online.dagger:
+                    without_expert(episode.steps)
+                learner.experience.add(episode)
 
         metrics: dict[str, float] = {}
-        for update in range(1, cfg.online.updates + 1):
-            batch = learner.buffer.sample().to(cfg.device)
+        for update in range(1, learner.updates_ahead + 1):
+            batch = learner.experience.sample()
             metrics |= learner.update_critic(batch)
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
-        stopwatch.lap("updates", cfg.online.updates)
-        metrics |= {"env_steps": learner.env_steps, "train/success_rate": success_rate}
-        logger.log(learner.gradient_steps, {**metrics, **stopwatch.measure()})
-        if learner.iterations % cfg.checkpoint.iterations == 0:
-            learner.checkpoint(run_dir)
-        progress.update(num_steps, success_rate=success_rate)
-    learner.checkpoint(run_dir)
-    progress.close()
-
-
-def conclude(
-    cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
-) -> dict:
-    """Measure the policy beside the baselines on the same scenes; write and print summary.json."""
-    failed = albums.FailureAlbum()
-    tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy", watch=failed.add)}
-    if "bc" in learner.results:
-        tables["policy after imitation alone"] = learner.results["bc"]
-    for name in cfg.evaluation.baselines:
-        tables[name] = common.evaluate(cfg, pool, policies.make_policy(cfg, name), name)
-    logger.log(learner.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
-    logger.close()
-    scenes = reports.describe_scenes(cfg)
-    summary = {**tables["policy"], "scenes": scenes, "comparison": tables, **learner.describe()}
-    reports.print_comparison(cfg, tables)
-    print(f"{learner.wall_seconds / 60:.1f} minutes. In {run_dir}: report.html and what it was made of")
-    summary = write_summary(run_dir, summary)
-    reports.write_page(cfg, run_dir, summary, {"Failed episodes": failed.pictures})
-    return summary
+        iterations.done(metrics)
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")

@@ -85,9 +85,9 @@ def _measure(chosen: DictConfig, cfg: DictConfig, folder: Path, number: int) -> 
     logger = MetricsLogger(run_dir, tensorboard=False)
     with common.make_pool(chosen) as pool, contextlib.closing(logger):
         common.prepare_objects(chosen, "train")
-        collect.collect(chosen, pool, folder / "demonstrations")  # the first row's serve all
-        learner.make_buffer(folder / "demonstrations")
-        learner.load_demonstrations()
+        sources = collect.demonstrations(chosen, pool, folder)  # the first row's serve all
+        learner.experience.make_buffer(sources)
+        learner.experience.load_demonstrations()
         td3_bc.reinforce(chosen, learner, logger, pool, run_dir)
     return _summarise(run_dir, cfg.training.warmup)
 

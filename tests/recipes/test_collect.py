@@ -117,7 +117,8 @@ def test_training_takes_demonstrations_of_another_seed_but_not_of_another_kind(c
     path = collected().path
     cfg = composed("experiment=smoke", "seed=5", f"demonstrations.path={path}")
     with common.make_pool(cfg) as pool:
-        assert collect.demonstrations(cfg, pool, path.parent) == path
+        (source,) = collect.demonstrations(cfg, pool, path.parent)
+        assert (source.name, source.path, source.count) == ("expert", path, "successful")
         cfg.demonstrations.kind = "learner"
         with pytest.raises(ConfigError, match="kind perturbed, not learner"):
             collect.demonstrations(cfg, pool, path.parent)
@@ -159,7 +160,7 @@ def test_training_takes_imports(composed, collected, tmp_path, told):
 def test_training_on_less_than_was_asked_for_says_so(composed, collected, tmp_path, capsys):
     path = collected("demonstrations.kind=expert").path
     given = ["experiment=smoke", "demonstrations.kind=expert", f"demonstrations.path={path}"]
-    assert collect.demonstrations(composed(*given), None, tmp_path) == path
+    assert [each.path for each in collect.demonstrations(composed(*given), None, tmp_path)] == [path]
     assert capsys.readouterr().out == ""
     collect.demonstrations(composed(*given, "demonstrations.steps=999"), None, tmp_path)
     assert "demonstrations.steps=999 asks for more" in capsys.readouterr().out

@@ -71,7 +71,7 @@ def test_every_learner_builds(composed, experiment, model, loss):
     assert learner.targets.period == cfg.online.period
 
 
-@pytest.mark.parametrize("recipe", ["td3_bc", "evaluate", "benchmark"])
+@pytest.mark.parametrize("recipe", ["td3_bc", "bc", "hindsight", "evaluate", "benchmark"])
 def test_main_configurations_compose(composed, recipe):
     cfg = composed(*(["policy=random"] if recipe == "evaluate" else []), recipe=recipe)
     assert instantiate(cfg.camera).intrinsics.width == 112

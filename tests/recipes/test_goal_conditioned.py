@@ -13,6 +13,7 @@ from hydra.utils import instantiate
 from learner import Learner
 from networks import load_acting
 from omegaconf import OmegaConf
+from sources import Source
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
@@ -68,9 +69,9 @@ def test_the_next_goal_is_the_next_steps_label(composed, tmp_path):
     with common.make_pool(cfg) as pool:
         collect.collect(cfg, pool, tmp_path / "demos")
     learner = Learner(cfg, common.observed_shapes(cfg))
-    learner.make_buffer(tmp_path / "demos")
-    learner.load_demonstrations()
-    learner.begin_imitation()
+    learner.experience.make_buffer([Source("expert", tmp_path / "demos", "successful")])
+    learner.experience.load_demonstrations()
+    learner.experience.draw_demonstrations()
     batch = learner.buffer.sample(64)
     follows = []
     for rows in open_demonstrations(tmp_path / "demos").iterate_rows():
@@ -92,9 +93,9 @@ def test_a_resumed_goal_network_goes_on(composed, tmp_path):
         collect.collect(cfg, pool, tmp_path / "demos")
     first, second = (Learner(cfg, common.observed_shapes(cfg)) for _ in range(2))
     for learner in (first, second):
-        learner.make_buffer(tmp_path / "demos")
-    first.load_demonstrations()
-    first.begin_imitation()
+        learner.experience.make_buffer([Source("expert", tmp_path / "demos", "successful")])
+    first.experience.load_demonstrations()
+    first.experience.draw_demonstrations()
     first.imitate(first.buffer.sample(8))
     first.checkpoint(tmp_path)
     assert second.resume(tmp_path)

@@ -7,6 +7,7 @@ import torch
 from hydra.utils import instantiate
 from learner import Learner
 from runner import ROOT
+from sources import Source
 from tensordict import TensorDict
 
 from torchgrasp.data import MixtureReplayBuffer, estimate_bytes
@@ -61,7 +62,7 @@ def test_the_correction_of_priorities_grows_to_the_full(composed, tmp_path):
     with common.make_pool(cfg) as pool:
         collect.collect(cfg, pool, tmp_path / "demos")
     learner = Learner(cfg, common.observed_shapes(cfg))
-    learner.make_buffer(tmp_path / "demos")
+    learner.experience.make_buffer([Source("expert", tmp_path / "demos", "successful")])
     found = []
     for progress in (0.0, 0.5, 1.0):
         learner.set_rates(progress)
@@ -74,13 +75,14 @@ def test_further_keys_of_a_step_are_an_override_away(composed, tmp_path):
     with common.make_pool(cfg) as pool:
         collect.collect(cfg, pool, tmp_path / "demos")
     learner = Learner(cfg, common.observed_shapes(cfg))
-    learner.make_buffer(tmp_path / "demos")
-    learner.load_demonstrations()
+    learner.experience.make_buffer([Source("expert", tmp_path / "demos", "successful")])
+    learner.experience.load_demonstrations()
     # What was told of memory beforehand is what the rows take.
-    assert learner.buffer.num_bytes() == estimate_bytes(len(learner.buffer), learner._row)
+    assert learner.buffer.num_bytes() == estimate_bytes(len(learner.buffer), learner.experience.row)
     poses = learner.buffer.sample()["T_base_ee"]
     assert poses.shape[1:] == (4, 4) and (poses[:, 3, 3] == 1).all()
     # Demonstrations that lack what is wanted are refused before anything is stored.
     other = composed("experiment=smoke", "replay.codec.extra_keys=[T_base_ee,object_id]")
     with pytest.raises(ConfigError, match="object_id"):
-        Learner(other, common.observed_shapes(other)).make_buffer(tmp_path / "demos")
+        strict = Learner(other, common.observed_shapes(other))
+        strict.experience.make_buffer([Source("expert", tmp_path / "demos", "successful")])

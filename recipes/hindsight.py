@@ -1,0 +1,73 @@
+"""Hindsight goals: a trained policy goes on on objects of which no model is known (Algorithm 1, Sec. 6.1).
+
+python recipes/hindsight.py init=outputs/td3_bc/<run>                          # the YCB objects
+python recipes/hindsight.py init=outputs/td3_bc/<run> physics=low_friction
+python recipes/hindsight.py init=outputs/td3_bc/<run> objects=procedural
+
+Nothing here knows an expert: its episodes have no label and no goal but where their own hand has grasped.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import common
+import hydra
+import settings
+import stages
+from inherit import begun_with
+from learner import Learner
+from omegaconf import DictConfig
+from origin import take_given
+from sources import list_demonstrations
+from tensordict.nn import TensorDictSequential
+
+from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
+from torchgrasp.transforms import HindsightGoal
+
+
+def train(cfg: DictConfig) -> dict:
+    """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
+    cfg = begun_with(settings.resumed(cfg, "hindsight"))
+    learner = Learner(cfg, common.observed_shapes(cfg), own="hindsight")
+    known = [take_given(each, name) for name, each in list_demonstrations(cfg).items()]
+    run_dir = settings.open_run(cfg, "hindsight")
+    with stages.make_pool(cfg) as pool:
+        common.prepare_objects(cfg)
+        logger = stages.begin(cfg, learner, known, run_dir)
+        stages.measure_once(cfg, learner, pool, run_dir, "policy before fine-tuning")
+        tune(cfg, learner, logger, pool, run_dir)
+        return stages.conclude(cfg, learner, logger, pool, run_dir)
+
+
+def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path) -> None:
+    """Algorithm 1 with D = D_expert of known objects and D_hindsight, by Eq. (5)."""
+    modules: list = [learner.policy, learner.noise]
+    policy, relabel = TensorDictSequential(*modules), HindsightGoal()
+    learner.begin_reinforcement()
+    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="fine-tuning")
+    for _ in iterations:
+        episodes = stages.run_round(cfg, learner, pool, policy)
+        learner.note_successes(episodes)
+        for episode in episodes:
+            relabel(episode.steps)  # where it succeeded, the pose that it reached
+            learner.experience.add(episode)
+
+        metrics: dict[str, float] = {}
+        for update in range(1, learner.updates_ahead + 1):
+            batch = learner.experience.sample()
+            metrics |= learner.update_critic(batch)
+            if update % cfg.online.policy_delay == 0:
+                metrics |= learner.update_actor(batch)
+        iterations.done(metrics)
+
+
+@hydra.main(version_base=None, config_path="../conf", config_name="hindsight")
+@one_line_errors()
+def main(cfg: DictConfig) -> None:
+    """Fine-tune as configured."""
+    train(cfg)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""What a fine-tuning run takes over from the run that it begins with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from networks import forget_encoder_files
+from omegaconf import DictConfig, OmegaConf
+from settings import brought_along, given_names
+
+from torchgrasp.errors import ConfigError
+
+# Parts of the configuration, of the task, of the storage and of the demonstrations.
+_PARTS = ("model", "camera", "overhead", "transforms")
+_TASK = ("horizon", "action_space")
+_STORAGE = ("codec", "augment")
+_DEMONSTRATIONS = ("kind", "count", "path", "steps")
+# What is the fine-tuning's own nevertheless (Sec. 6.3).
+_FROZEN = ("model.actor.freeze_encoder", "model.critic.freeze_encoder")
+
+
+def begun_with(cfg: DictConfig) -> DictConfig:
+    """The configuration with what the run or weights file `init` was trained with, and its D_expert.
+
+    A run that is resumed has it already.
+    """
+    if cfg.offline.updates:
+        raise ConfigError("offline.updates leaves no episodes to fine-tune on: leave it out.")
+    if cfg.resume is not None:
+        return cfg
+    if cfg.init is None:
+        raise ConfigError("init is missing: give the run directory or weights file that is to be tuned.")
+    path = Path(str(cfg.init))
+    refused = [name for name in given_names() if name not in _FROZEN and name.split(".")[0] in _PARTS]
+    if refused:
+        raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
+    brought = brought_along(path, list(cfg.trust))
+    plain: Any = OmegaConf.to_container(cfg)
+    plain |= {name: brought[name] for name in _PARTS}
+    plain["env"] |= {name: brought["env"][name] for name in _TASK}
+    plain["replay"] |= {name: brought["replay"][name] for name in _STORAGE}
+    if cfg.demonstrations.path is None:
+        theirs = {name: brought["demonstrations"][name] for name in _DEMONSTRATIONS}
+        folder = (path if path.is_dir() else path.parent) / "demonstrations"
+        plain["demonstrations"] |= {**theirs, "path": theirs["path"] or str(folder)}
+    begun: Any = OmegaConf.create(plain)
+    forget_encoder_files(begun.model)
+    for name in _FROZEN:
+        OmegaConf.update(begun, name, OmegaConf.select(cfg, name))
+    return begun

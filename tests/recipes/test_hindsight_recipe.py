@@ -1,0 +1,83 @@
+"""recipes/hindsight.py: no expert, goals from success alone, frozen encoders, rates before and after."""
+
+import common
+import hindsight
+import pytest
+import td3_bc
+import torch
+from hydra import compose, initialize_config_dir
+from inherit import begun_with
+from runner import ROOT
+from test_bc import find_run, stored_rows
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import goal_to_pose
+from torchgrasp.training import load_checkpoint, load_weights
+from torchgrasp.transforms import HindsightGoal
+
+SMALL = ["experiment=[smoke,hindsight/normal]", "total_env_steps=24", "objects=procedural"]
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """A trained policy's run directory."""
+    root = tmp_path_factory.mktemp("trained")
+    given = [f"output_dir={root}", "experiment=smoke", "evaluation.baselines=[]", "evaluation.episodes=2"]
+    with initialize_config_dir(str(ROOT / "conf"), version_base=None):
+        cfg = compose("td3_bc", [*given, "env.horizon=8", "total_env_steps=16"])
+    td3_bc.train(cfg)
+    return find_run(root, "td3_bc")
+
+
+def test_fine_tuning_builds_no_expert(composed, tmp_path, trained):
+    """Where there is none to be had, it runs all the same; its episodes have no label of anybody's."""
+    nobody = "expert._target_=no.such.Expert"
+    summary = hindsight.train(composed(*SMALL, f"init={trained}", nobody, recipe="hindsight"))
+    assert set(summary["comparison"]) == {"policy", "policy before fine-tuning"}
+    assert summary["comparison"]["policy"]["episodes"] == 4 and summary["env_steps"] >= 24
+    run_dir = find_run(tmp_path, "hindsight")
+    rows = stored_rows(run_dir, "hindsight")
+    assert len(rows["action"]) > 0 and not rows["has_expert"].any()
+    assert torch.equal(rows["has_goal"], rows["episode_success"])
+    assert stored_rows(run_dir, "expert")["has_expert"].any()
+    # The length of episodes is the policy's, not the experiment's.
+    assert load_checkpoint(run_dir / "checkpoint")["progress"]["env_steps"] % 8 == 0
+
+
+def test_encoders_stay_and_heads_learn(composed, tmp_path, trained):
+    hindsight.train(composed(*SMALL, f"init={trained}", recipe="hindsight"))
+    run_dir = find_run(tmp_path, "hindsight")
+    before, after = (load_weights(each / "weights.safetensors")[0] for each in (trained, run_dir))
+    for name in ("actor", "critic"):
+        encoder = [key for key in before[name] if ".encoder." in key]
+        heads = [key for key in before[name] if "head" in key]
+        assert encoder and heads
+        assert all(torch.equal(before[name][key], after[name][key]) for key in encoder)
+        assert not all(torch.equal(before[name][key], after[name][key]) for key in heads)
+
+
+def test_goals_are_the_poses_that_successful_episodes_reached(composed, tmp_path, trained):
+    """With a hand that the expert has led, some episodes succeed and have goals."""
+    cfg = begun_with(composed(*SMALL, f"init={trained}", recipe="hindsight"))
+    with common.make_pool(cfg) as pool:
+        (episodes,) = pool.run("test", common.make_expert(cfg, "test"), [0])
+    assert any(each.success for each in episodes)
+    for episode in episodes:
+        told = episode.steps.clone()
+        steps = HindsightGoal()(episode.steps)
+        assert bool(steps["has_goal"].all()) is episode.success
+        assert torch.equal(steps["next", "reward"], told["next", "reward"])
+        if episode.success:
+            reached = steps["T_base_ee"] @ goal_to_pose(steps["goal"])
+            torch.testing.assert_close(reached, steps["next", "T_base_ee"][-1:].expand(reached.shape))
+
+
+def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
+    with pytest.raises(ConfigError, match="init is missing"):
+        hindsight.train(composed(*SMALL, recipe="hindsight"))
+    with pytest.raises(ConfigError, match="leaves no episodes"):
+        hindsight.train(composed(*SMALL, f"init={trained}", "offline.updates=3", recipe="hindsight"))
+    given = [f"init={trained}", f"demonstrations.path={tmp_path / 'nowhere'}"]
+    with pytest.raises(ConfigError, match="holds none"):
+        hindsight.train(composed(*SMALL, *given, recipe="hindsight"))
+    assert not (tmp_path / "hindsight").exists()
