@@ -41,6 +41,7 @@ _AT_LEAST = {
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),
+    "collector.overlap",
     *(
         f"model.{network}.{name}"
         for network in ("actor", "critic")

@@ -80,17 +80,14 @@ def reinforce(
     cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> None:
     """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4)."""
-    rounds = -(-cfg.collector.episodes // cfg.env.num_envs)
     labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
-    policy = TensorDictSequential(*modules)
+    rounds = common.rounds(cfg, pool, TensorDictSequential(*modules), learner.iterations)
     progress = Progress(cfg.total_env_steps, initial=learner.env_steps, description="reinforcement")
     learner.begin_reinforcement()
     while learner.env_steps < cfg.total_env_steps:
         learner.set_rates(learner.env_steps / cfg.total_env_steps)
-        start = common.ONLINE_EPISODES + learner.iterations * rounds
-        batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
-        episodes = [episode for batch in batches for episode in batch]
+        episodes = next(rounds)
         num_steps = sum(len(episode.steps) for episode in episodes)
         for episode in episodes:
             learner.buffer.extend(episode.steps[None], source="online")
@@ -113,6 +110,7 @@ def reinforce(
         if learner.iterations % cfg.checkpoint.iterations == 0:
             learner.checkpoint(run_dir)
         progress.update(num_steps, success_rate=success_rate)
+    rounds.close()
     learner.checkpoint(run_dir)
     progress.close()
 
