@@ -3,6 +3,8 @@
 import functools
 import os
 import signal
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -203,3 +205,9 @@ def test_bad_number_of_workers(kind, num_workers):
 def test_a_cluster_that_is_too_small_is_refused():
     with pytest.raises(ConfigError, match=r"num_workers=99 of 1 cores each do not fit the \d+ cores"):
         RayPool(ENVS, num_workers=99, init={"num_cpus": 2})
+
+
+def test_an_address_where_no_ray_is_is_refused_at_once():
+    script = "from torchgrasp.training import RayPool; RayPool({}, num_workers=1, address='127.0.0.1:9')"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100)
+    assert "ConfigError: No Ray answers at collector.address=127.0.0.1:9" in done.stderr

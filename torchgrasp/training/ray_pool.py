@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import pickle
+import socket
 import sys
 from collections.abc import Iterable, Mapping
 from types import ModuleType
@@ -53,10 +54,11 @@ class RayPool(WorkerPool):
         if self._owns_ray:
             own = {"num_cpus": math.ceil(cores), "include_dashboard": False} if address is None else {}
             try:
+                _check_address(address)
                 self._ray.init(address or "local", **{"logging_level": "warning", **own, **(init or {})})
-            except ConnectionError as error:
+            except OSError as error:
                 raise ConfigError(
-                    f"collector.address={address} answers not ({error}): begin with `ray start --head` there."
+                    f"No Ray answers at collector.address={address} ({error}): begin with `ray start --head`."
                 ) from error
         found = self._ray.cluster_resources().get("CPU", 0)
         if found < cores:
@@ -128,6 +130,13 @@ def import_ray() -> ModuleType:
             f'collector=ray needs the extra ray ({error}): pip install "torchgrasp[ray]".'
         ) from error
     return ray
+
+
+def _check_address(address: str | None) -> None:
+    """Raise OSError where nothing listens at host:port; Ray itself would try for minutes, then exit."""
+    host, _, port = (address or "").rpartition("://")[2].rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=10).close()
 
 
 def _tell_loss(error: Exception) -> str:

@@ -153,7 +153,8 @@ class WorkerPool(EpisodePool):
         what = f"episode {task.number} of the environment {task.env!r}"
         task.deaths += 1
         if task.deaths < _MAX_DEATHS:
-            warnings.warn(f"{name} {death}: another takes its place and runs {what} again.", stacklevel=1)
+            told = f"{name} {death}: another takes its place and runs {what} again."
+            warnings.warn(told, stacklevel=1)
             self._waiting.put(task)
             return
         message = (
