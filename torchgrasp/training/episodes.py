@@ -15,7 +15,7 @@ from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.training.outcomes import failure_cause
 
-# Makes a GraspEnv with transforms around it.
+# Makes a GraspEnv, usually with transforms around it.
 MakeEnv = Callable[[], Any]
 Policy = Callable[[TensorDictBase], TensorDictBase]
 # One list an episode number: that episode of every world.
@@ -150,7 +150,7 @@ class EpisodeRunner:
         names = env.objects.names
         ends = [("next", key) for key in ("reward", "terminated", "truncated", "done")]
         episodes = []
-        gaps = env.base_env.worlds.joints[:, 7:].sum(-1)
+        gaps = getattr(env, "base_env", env).worlds.joints[:, 7:].sum(-1)
         for row, gap in zip(batch, gaps, strict=True):
             length = int(row["next", "done"].squeeze(-1).int().argmax()) + 1
             object_name = names[int(row[keys.OBJECT_ID][0])]
