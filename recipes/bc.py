@@ -49,8 +49,8 @@ def check_rollouts(cfg: DictConfig) -> None:
         )
 
 
-def make_actors(cfg: DictConfig, learner: Imitator) -> dict[str, TensorDictModuleBase]:
-    """Who can act in an iteration; each state is labelled by the expert."""
+def make_actors(cfg: DictConfig, learner: Imitator) -> list[TensorDictModuleBase]:
+    """Who acts in turn, as `online.rollouts` says; each state is labelled by the expert."""
     disturbed = cfg.demonstrations.kind if cfg.demonstrations.kind == "expert" else "perturbed"
     labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
@@ -58,7 +58,7 @@ def make_actors(cfg: DictConfig, learner: Imitator) -> dict[str, TensorDictModul
         "expert": lambda: collect.make_demonstrator(cfg, disturbed),
         "learner": lambda: TensorDictSequential(*modules),
     }
-    return {name: actors[name]() for name in cfg.online.rollouts}
+    return [actors[name]() for name in cfg.online.rollouts]
 
 
 def imitate(
@@ -68,13 +68,13 @@ def imitate(
 
     Offline there are no episodes: the same updates on demonstrations alone.
     """
-    actors = make_actors(cfg, learner)
+    rounds = common.rounds(cfg, pool, *make_actors(cfg, learner), first=learner.iterations)
     learner.experience.draw_all(labelled=True)
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="more imitation")
     for number in iterations:
         if not cfg.offline.updates:
             actor = cfg.online.rollouts[number % len(cfg.online.rollouts)]
-            episodes = stages.run_round(cfg, learner, pool, actors[actor])
+            episodes = stages.take_round(learner, rounds)
             learner.note_successes(episodes if actor == "learner" else ())
             for episode in episodes:
                 if actor == "learner" or episode.success:  # D_expert holds successes alone (Sec. 6.4)
@@ -84,6 +84,7 @@ def imitate(
         for _ in range(learner.updates_ahead):
             metrics |= learner.imitate(learner.experience.sample())
         iterations.done(metrics)
+    rounds.close()
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="bc")

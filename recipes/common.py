@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+import os
+from collections.abc import Callable, Generator, Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
+from schedule import count_rounds
 from torch import nn
 from torchrl.envs import Compose, TransformedEnv
 
@@ -21,7 +23,7 @@ from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import prepare_resting
 from torchgrasp.sim.control import ActionSpace, make_action_space
-from torchgrasp.training import Episode, EpisodePool, Progress, SuccessTable
+from torchgrasp.training import Episode, EpisodePool, Progress, SerialPool, SuccessTable, collect_rounds
 from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
 # What a learner needs of a step; the camera's pictures stay where they were made.
@@ -84,17 +86,34 @@ def observed_shapes(cfg: DictConfig) -> dict[Any, tuple[int, ...]]:
 
 
 def make_pool(cfg: DictConfig, *, keep: Iterable = KEPT) -> EpisodePool:
-    """Workers that run episodes of "train" and "test" and hand the keys to `keep` over."""
+    """Who runs episodes of "train" and "test" and hands the keys to `keep` over, as configured."""
     resolved: DictConfig = deepcopy(cfg)
     OmegaConf.resolve(resolved)
     envs = {split: functools.partial(make_env, resolved, split) for split in ("train", "test")}
-    return EpisodePool(envs, num_workers=cfg.collector.num_workers, keep=keep)
+    workers = cfg.collector.num_workers
+    make: Callable[..., EpisodePool] = instantiate(resolved.collector.pool, _partial_=True)
+    return (make if workers else SerialPool)(envs, num_workers=workers, keep=keep)
+
+
+def rounds(
+    cfg: DictConfig, pool: EpisodePool, *policies: Callable, first: int
+) -> Generator[list[Episode], None, None]:
+    """Rounds of `collector.episodes` training episodes from number `first` on, by the policies in turn."""
+    length = count_rounds(cfg)
+    return collect_rounds(
+        pool,
+        "train",
+        lambda number: for_workers(policies[(number - ONLINE_EPISODES) // length % len(policies)]),
+        first=ONLINE_EPISODES + first * length,
+        length=length,
+        overlap=cfg.collector.overlap,
+    )
 
 
 def prepare_objects(cfg: DictConfig, *splits: str) -> None:
     """Build and settle what is not cached yet, with a progress bar; the objects of both splits by default."""
     for split in splits or ("train", "test"):
-        workers = max(1, cfg.collector.num_workers)
+        workers = max(1, min(cfg.collector.num_workers, os.cpu_count() or 1))  # Ray's may be elsewhere
         objects = make_objects(cfg, split)
         prepare_resting(objects, instantiate(cfg.env.physics), workers=workers)
         for index in range(len(objects)):
@@ -168,7 +187,7 @@ def record_videos(cfg: DictConfig, policy: Callable, folder: Path) -> list[Path]
     recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, fov=fov)
     wanted, paths = min(cfg.video.episodes, cfg.evaluation.episodes), []
     progress = Progress(wanted, description="videos", unit="video")
-    with EpisodePool({"test": lambda: env}) as pool:
+    with SerialPool({"test": lambda: env}) as pool:
         for batch in pool.run("test", for_workers(policy), range(-(-wanted // cfg.evaluation.num_envs))):
             for row, episode in enumerate(batch[: wanted - len(paths)]):
                 word = "lifted" if episode.success else "failed"

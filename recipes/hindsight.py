@@ -43,11 +43,12 @@ def train(cfg: DictConfig) -> dict:
 def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path) -> None:
     """Algorithm 1 with D = D_expert of known objects and D_hindsight, by Eq. (5)."""
     modules: list = [learner.policy, learner.noise]
-    policy, relabel = TensorDictSequential(*modules), HindsightGoal()
+    rounds = common.rounds(cfg, pool, TensorDictSequential(*modules), first=learner.iterations)
+    relabel = HindsightGoal()
     learner.begin_reinforcement()
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="fine-tuning")
     for _ in iterations:
-        episodes = stages.run_round(cfg, learner, pool, policy)
+        episodes = stages.take_round(learner, rounds)
         learner.note_successes(episodes)
         for episode in episodes:
             relabel(episode.steps)  # where it succeeded, the pose that it reached
@@ -60,6 +61,7 @@ def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: Episode
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
         iterations.done(metrics)
+    rounds.close()
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="hindsight")

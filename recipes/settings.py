@@ -45,7 +45,7 @@ _AT_LEAST = {
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),
-    *("evaluation.grasp_prediction", "online.dagger"),
+    *("evaluation.grasp_prediction", "online.dagger", "collector.overlap"),
     *(
         f"model.{network}.{name}"
         for network in ("actor", "critic")

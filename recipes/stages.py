@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import predictions
 import reports
 from imitator import Imitator
 from omegaconf import DictConfig, OmegaConf
-from schedule import count_offline_updates, count_rounds
+from schedule import count_offline_updates
 from sources import Source
 
 from torchgrasp.training import (
@@ -73,12 +73,9 @@ def measure_once(cfg: DictConfig, learner: Imitator, pool: EpisodePool, run_dir:
         learner.checkpoint(run_dir)
 
 
-def run_round(cfg: DictConfig, learner: Imitator, pool: EpisodePool, policy: Callable) -> list[Episode]:
+def take_round(learner: Imitator, rounds: Iterator[list[Episode]]) -> list[Episode]:
     """An iteration's episodes, their steps counted."""
-    rounds = count_rounds(cfg)
-    start = common.ONLINE_EPISODES + learner.iterations * rounds
-    batches = pool.run("train", common.for_workers(policy), range(start, start + rounds), explore=True)
-    episodes = [episode for batch in batches for episode in batch]
+    episodes = next(rounds)
     num_steps = sum(len(episode.steps) for episode in episodes)
     learner.noise.step(num_steps)
     learner.env_steps += num_steps

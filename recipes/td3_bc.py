@@ -45,12 +45,12 @@ def reinforce(
     """
     labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
-    policy = TensorDictSequential(*modules)
+    rounds = common.rounds(cfg, pool, TensorDictSequential(*modules), first=learner.iterations)
     learner.begin_reinforcement()
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="reinforcement")
     for _ in iterations:
         if not cfg.offline.updates:
-            episodes = stages.run_round(cfg, learner, pool, policy)
+            episodes = stages.take_round(learner, rounds)
             learner.note_successes(episodes)
             for episode in episodes:
                 if not cfg.online.dagger:
@@ -64,6 +64,7 @@ def reinforce(
             if update % cfg.online.policy_delay == 0:
                 metrics |= learner.update_actor(batch)
         iterations.done(metrics)
+    rounds.close()
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")

@@ -17,7 +17,7 @@ from torchrl.envs import TransformedEnv
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import EpisodePool, SuccessTable, one_line_errors
+from torchgrasp.training import SerialPool, SuccessTable, one_line_errors
 from torchgrasp.training.viewer import EpisodeViewer
 from torchgrasp.training.viewer_panel import Skipped
 
@@ -59,7 +59,7 @@ def play(
     """Run the episodes of these numbers by whichever policy the page has chosen when they begin."""
     base = env.base_env
     assert isinstance(base, GraspEnv)
-    with EpisodePool({"test": lambda: env}) as pool:
+    with SerialPool({"test": lambda: env}) as pool:
         for number in numbers:
             name = viewer.policy
             try:

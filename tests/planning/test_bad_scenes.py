@@ -13,7 +13,7 @@ from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy, OpenLoopPolicy, PlanStatus
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 from torchgrasp.sim import kinematics as kin
-from torchgrasp.training import EpisodePool
+from torchgrasp.training import SerialPool
 
 OBJECTS = ProceduralObjects("train", num_objects=4, num_grasps=100)
 BARE = [replace(item, grasps=item.grasps[:0], grasp_quality=item.grasp_quality[:0]) for item in OBJECTS]
@@ -93,7 +93,7 @@ def test_a_bad_scene_is_named_and_leaves_its_neighbour_alone(policy, spoil, stat
 
 @pytest.mark.parametrize("policy", POLICIES)
 def test_an_object_with_an_empty_grasp_set_fails_by_name(policy):
-    with EpisodePool({"test": lambda: TransformedEnv(make_env())}) as pool:
+    with SerialPool({"test": lambda: TransformedEnv(make_env())}) as pool:
         (episodes,) = pool.run("test", policy(BARE, horizon=HORIZON), [0])
     for episode in episodes:
         assert not episode.success and len(episode.steps) == HORIZON

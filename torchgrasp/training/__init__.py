@@ -6,10 +6,14 @@ from torchgrasp.training.checkpoint import save_checkpoint as save_checkpoint
 from torchgrasp.training.cli import one_line_errors as one_line_errors
 from torchgrasp.training.episodes import Episode as Episode
 from torchgrasp.training.episodes import EpisodePool as EpisodePool
+from torchgrasp.training.episodes import SerialPool as SerialPool
 from torchgrasp.training.metrics import MetricsLogger as MetricsLogger
 from torchgrasp.training.metrics import SuccessTable as SuccessTable
 from torchgrasp.training.metrics import wilson_interval as wilson_interval
+from torchgrasp.training.process_pool import ProcessPool as ProcessPool
 from torchgrasp.training.progress import Progress as Progress
+from torchgrasp.training.ray_pool import RayPool as RayPool
+from torchgrasp.training.rounds import collect_rounds as collect_rounds
 from torchgrasp.training.run import hardware as hardware
 from torchgrasp.training.run import make_run_dir as make_run_dir
 from torchgrasp.training.run import versions as versions

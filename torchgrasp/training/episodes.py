@@ -1,16 +1,10 @@
-"""Numbered episodes, run by worker processes: the same ones whatever the number of workers."""
+"""Numbered episodes and who runs them: the same ones in one process, in several, on several machines."""
 
 from __future__ import annotations
 
-import os
-import pickle
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait
 from typing import Any
 
 import torch
@@ -18,11 +12,14 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError, TorchgraspError
+from torchgrasp.errors import ConfigError
 from torchgrasp.training.outcomes import failure_cause
 
-# Makes a GraspEnv with transforms around it.
+# Makes a GraspEnv, usually with transforms around it.
 MakeEnv = Callable[[], Any]
+Policy = Callable[[TensorDictBase], TensorDictBase]
+# One list an episode number: that episode of every world.
+EpisodeBatches = Generator["list[Episode]", None, None]
 
 
 @dataclass(frozen=True)
@@ -44,73 +41,39 @@ class Episode:
         return bool(self.steps["next", "reward"].sum() > 0)
 
 
-class EpisodePool:
-    """Runs episodes of GraspEnvs in worker processes and hands them over in order.
+class EpisodePool(ABC):
+    """Runs numbered episodes of GraspEnvs and hands them over in order.
 
-    An episode is named by (environment, world, number); which worker runs it changes nothing. The
-    workers live as long as the pool, which is a context manager.
+    An episode is named by (environment, world, number): who runs it, beside whom and after what changes
+    nothing in it. A pool is a context manager; what it started lives as long as it does.
 
     Args:
-        envs: name -> picklable function that makes the environment.
-        num_workers: processes; 0 runs everything in this one.
+        envs: name -> function that makes the environment.
         keep: keys of a step that are handed over besides those of "next" that end an episode.
     """
 
-    def __init__(
-        self, envs: Mapping[str, MakeEnv], *, num_workers: int = 0, keep: Iterable | None = None
-    ) -> None:
-        if num_workers < 0:
-            raise ConfigError(f"collector.num_workers={num_workers}: give 0 (this process) or more.")
-        self._runner = _Runner(dict(envs), None if keep is None else list(keep))
-        self._executor: ProcessPoolExecutor | None = None
-        if num_workers:
-            self._executor = ProcessPoolExecutor(
-                num_workers,
-                mp_context=get_context("spawn"),
-                initializer=_start_worker,
-                initargs=(self._runner,),
-            )
-        self._num_workers = num_workers
+    def __init__(self, envs: Mapping[str, MakeEnv], *, keep: Iterable | None = None) -> None:
+        self._runner = EpisodeRunner(dict(envs), None if keep is None else list(keep))
 
+    @abstractmethod
     def run(
-        self,
-        env: str,
-        policy: Callable[[TensorDictBase], TensorDictBase],
-        numbers: Iterable[int],
-        *,
-        explore: bool = False,
-    ) -> Iterator[list[Episode]]:
+        self, env: str, policy: Policy, numbers: Iterable[int], *, explore: bool = False
+    ) -> EpisodeBatches:
         """For each episode number one list: that episode of every world of the environment, in order.
+
+        Where there are workers they begin at once, with a copy of the policy as it is now. Closing what
+        is returned drops the episodes that are still to come.
 
         Args:
             env: name of the environment.
-            policy: picklable; it works on a copy where there are workers.
+            policy: can be pickled where there are workers.
             numbers: of the episodes.
             explore: whether modules that explore do so.
         """
-        if self._executor is None:
-            for number in numbers:
-                yield self._runner.run(env, policy, number, explore)
-            return
-        packed = pickle.dumps(policy)
-        waiting: list[Future] = []
-        try:
-            waiting += [self._executor.submit(_work, env, packed, n, explore) for n in numbers]
-            for future in waiting:
-                yield pickle.loads(future.result())
-        except BrokenProcessPool as error:
-            raise TorchgraspError(
-                f"One of {self._num_workers} worker processes died, killed or out of memory: lower "
-                "collector.num_workers or env.num_envs, then go on with resume=<run dir>."
-            ) from error
-        finally:
-            for future in waiting:  # those that nobody waits for any longer
-                future.cancel()
 
+    @abstractmethod
     def close(self) -> None:
-        """End the workers."""
-        if self._executor is not None:
-            self._executor.shutdown(cancel_futures=True)
+        """End what the pool started."""
 
     def __enter__(self) -> EpisodePool:
         return self
@@ -119,8 +82,53 @@ class EpisodePool:
         self.close()
 
 
-class _Runner:
-    """Makes each environment once and runs episodes in it."""
+class SerialPool(EpisodePool):
+    """Runs each episode in this process, when it is asked for.
+
+    Args:
+        envs: name -> function that makes the environment.
+        num_workers: 0; there for the sake of the other pools.
+        keep: as for every pool.
+
+    Example:
+        >>> from torchgrasp.envs import GraspEnv
+        >>> from torchgrasp.objects import ProceduralObjects
+        >>> from torchgrasp.planning import RandomAction
+        >>> objects = ProceduralObjects("train", num_objects=1, num_grasps=100)
+        >>> with SerialPool({"train": lambda: GraspEnv(2, objects=objects, horizon=3)}) as pool:
+        ...     batches = list(pool.run("train", RandomAction(), [7, 8]))
+        >>> [(episode.world, episode.number) for batch in batches for episode in batch]
+        [(0, 7), (1, 7), (0, 8), (1, 8)]
+    """
+
+    def __init__(
+        self, envs: Mapping[str, MakeEnv], *, num_workers: int = 0, keep: Iterable | None = None
+    ) -> None:
+        if num_workers != 0:
+            raise ConfigError(
+                f"collector.num_workers={num_workers} with collector=serial, which has no workers: choose "
+                "collector=pool, or leave num_workers at 0."
+            )
+        super().__init__(envs, keep=keep)
+
+    def run(
+        self, env: str, policy: Policy, numbers: Iterable[int], *, explore: bool = False
+    ) -> EpisodeBatches:
+        """One list an episode number; the policy itself acts, no copy."""
+        for number in numbers:
+            yield self._runner.run(env, policy, number, explore)
+
+    def close(self) -> None:
+        """Nothing was started."""
+
+
+class EpisodeRunner:
+    """Makes each environment once and runs episodes in it; a copy of it makes them anew.
+
+    Args:
+        factories: name -> function that makes the environment.
+        keep: keys that are handed over; None for all.
+    """
 
     def __init__(self, factories: dict[str, MakeEnv], keep: list | None) -> None:
         self.factories = factories
@@ -130,7 +138,8 @@ class _Runner:
     def __getstate__(self) -> dict:
         return {"factories": self.factories, "keep": self.keep, "envs": {}}
 
-    def run(self, name: str, policy: Callable, number: int, explore: bool) -> list[Episode]:
+    def run(self, name: str, policy: Policy, number: int, explore: bool) -> list[Episode]:
+        """The episode `number` of every world of an environment."""
         if name not in self.envs:
             self.envs[name] = self.factories[name]()
         env = self.envs[name]
@@ -141,7 +150,7 @@ class _Runner:
         names = env.objects.names
         ends = [("next", key) for key in ("reward", "terminated", "truncated", "done")]
         episodes = []
-        gaps = env.base_env.worlds.joints[:, 7:].sum(-1)
+        gaps = getattr(env, "base_env", env).worlds.joints[:, 7:].sum(-1)
         for row, gap in zip(batch, gaps, strict=True):
             length = int(row["next", "done"].squeeze(-1).int().argmax()) + 1
             object_name = names[int(row[keys.OBJECT_ID][0])]
@@ -151,27 +160,3 @@ class _Runner:
                 row = row.select(*self.keep, *(("next", key) for key in self.keep), *ends, strict=False)
             episodes.append(Episode(row[:length].clone(), object_name, world, number, failure))
         return episodes
-
-
-_runner: _Runner | None = None
-
-
-def _start_worker(runner: _Runner) -> None:
-    global _runner
-    torch.set_num_threads(1)
-    _runner = runner
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for work for ever."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-
-def _work(env: str, policy: bytes, number: int, explore: bool) -> bytes:
-    # Bytes rather than tensors, which torch would send as file descriptors.
-    assert _runner is not None
-    return pickle.dumps(_runner.run(env, pickle.loads(policy), number, explore))
