@@ -135,7 +135,8 @@ def test_rounds_are_the_same_whoever_collects_them(pool, alone, overlap):
     collected = []
     for each in (pool, alone):
         policies = iter([RandomAction(seed=seed) for seed in range(9)])
-        rounds = collect_rounds(each, "env", lambda _, p=policies: next(p), first=5, length=2, overlap=overlap)
+        options = {"first": 5, "length": 2, "overlap": overlap}
+        rounds = collect_rounds(each, "env", lambda _, made=policies: next(made), **options)
         collected.append([next(rounds) for _ in range(3)])
         rounds.close()
     for ours, theirs in zip(*collected, strict=True):

@@ -28,8 +28,8 @@ def collect_rounds(
     Args:
         pool: who runs them.
         env: name of the pool's environment.
-        make_policy: gives a copy of the policy as it is now, which learning leaves alone, for the round of that
-            first episode.
+        make_policy: gives a copy of the policy as it is now, which learning leaves alone, for the round whose
+            first episode has that number.
         first: number of the first round's first episode.
         length: episode numbers a round; each is run in every world.
         overlap: whether to collect the next round meanwhile.
