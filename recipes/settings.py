@@ -17,7 +17,7 @@ from sources import list_demonstrations
 from torchgrasp.data import count_shards
 from torchgrasp.data.kinds import check_kind, resolve_count
 from torchgrasp.errors import CheckpointError, ConfigError, check_range, check_whole
-from torchgrasp.training import load_weights, make_run_dir
+from torchgrasp.training import PRETRAINED, load_weights, make_run_dir
 
 # config.yaml is resolved, for readers; this one keeps its references, so that a change reaches all.
 _UNRESOLVED = ".config_unresolved.yaml"
@@ -201,9 +201,10 @@ def _learned(cfg: DictConfig) -> tuple[str, Path | None]:
         option, name, named = "policy", policy, POLICIES
     if name in named:
         return option, None
-    if not Path(name).exists():
+    if not weights_file(Path(name)).exists():
         raise ConfigError(
-            f"{option}={name!r} is not there: give {', '.join(named)}, a run directory or a weights file."
+            f"{option}={name!r} is not there: give {', '.join(named)}, pretrained, a run directory or a "
+            "weights file."
         )
     return option, Path(name)
 
@@ -223,7 +224,9 @@ def expand_video(arguments: list[str]) -> list[str]:
 
 
 def weights_file(path: Path) -> Path:
-    """The weights of a run directory, or the file itself."""
+    """The weights of a run directory, the file itself, or what comes with the library as `pretrained`."""
+    if str(path) == "pretrained":
+        return PRETRAINED
     return path / "weights.safetensors" if path.is_dir() else path
 
 

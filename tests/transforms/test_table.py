@@ -4,7 +4,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import invert_pose, transform_points
 from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic, PointNet, ResNet18
 from torchgrasp.transforms import RandomMirror, TablePlane
@@ -79,6 +78,12 @@ def test_points_carry_their_heights_into_the_encoder():
     assert torch.allclose(seen[0][..., -1], batch["in_base"][..., 2] / 0.1, atol=1e-4)
 
 
-def test_images_have_no_heights():
-    with pytest.raises(ConfigError, match="takes images: leave it out"):
-        GraspActor(lambda channels: ResNet18(channels, width=0.125), table_input=True)
+def test_pictures_have_no_heights_but_their_policies_know_the_table():
+    def make_encoder(channels):
+        return ResNet18(channels, width=0.125)
+
+    actor = GraspActor(make_encoder, in_channels=3, table_input=True, in_keys=["image", "time_left"])
+    batch = make_batch(2).set("image", torch.rand(2, 3, 32, 32))
+    moved = batch.clone().set("table_plane", batch["table_plane"].flip(0))
+    assert actor.module.encoder.in_channels == 3
+    assert not torch.allclose(actor(batch)["action"], actor(moved)["action"])

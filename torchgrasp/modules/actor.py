@@ -39,8 +39,8 @@ class GraspActor(TensorDictModule):
         hidden: width of the heads.
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does;
             zeros say that there is none.
-        table_input: also read the table's plane (*, 4) of `table_key`: each point's height above it is one
-            more channel of the cloud, and the plane joins the feature. Not in the paper.
+        table_input: also read the table's plane (*, 4) of `table_key`: it joins the feature, and each point's
+            height above it is one more channel of a cloud. Not in the paper.
         goal_prediction: whether the actor predicts the goal.
         freeze_encoder: keep the encoder as it is (Sec. 6.3: fine-tuning with hindsight goals). A module
             is copied, so that freezing stays here.
@@ -77,7 +77,7 @@ class GraspActor(TensorDictModule):
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
         written = choose_out_keys(out_keys, "the action", predicts_goal=goal_prediction)
-        built, size = build_encoder(encoder, in_channels + table_input, freeze=freeze_encoder)
+        built, size = build_encoder(encoder, in_channels, freeze=freeze_encoder, heights=table_input)
         network = _ActorNetwork(
             built,
             size + 1 + goal_input * GOAL_SIZE + table_input * PLANE_SIZE,

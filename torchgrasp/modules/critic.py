@@ -91,8 +91,8 @@ class GraspCritic(TensorDictModule):
         written = choose_out_keys(out_keys, "the values", predicts_goal=goal_prediction)
         bound = bound_tensor(action_bound)
         early = fusion == "early"
-        channels = in_channels + early * len(bound) + table_input
-        built, size = build_encoder(encoder, channels, freeze=freeze_encoder)
+        channels = in_channels + early * len(bound)
+        built, size = build_encoder(encoder, channels, freeze=freeze_encoder, heights=table_input)
         size += 1 + goal_input * GOAL_SIZE + table_input * PLANE_SIZE + (not early) * len(bound)
         network = _CriticNetwork(
             built,

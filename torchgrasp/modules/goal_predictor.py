@@ -58,7 +58,7 @@ class GoalPredictor(TensorDictModule):
         table_key: NestedKey = keys.TABLE_PLANE,
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
-        built, size = build_encoder(encoder, in_channels + table_input)
+        built, size = build_encoder(encoder, in_channels, heights=table_input)
         network = _GoalNetwork(built, size + 1 + table_input * PLANE_SIZE, hidden, reads_table=table_input)
         super().__init__(network, in_keys=[*read, *[table_key] * table_input], out_keys=[goal_key])
 

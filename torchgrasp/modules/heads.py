@@ -31,12 +31,8 @@ class EncoderNetwork(nn.Module):
 
     def __init__(self, encoder: nn.Module, *, freeze: bool = False, reads_table: bool = False) -> None:
         super().__init__()
-        self.encoder, self.encoder_is_frozen, self.reads_table = encoder, freeze, reads_table
-        if reads_table and get_channel_dim(encoder) != -1:
-            raise ConfigError(
-                f"table_input=True gives the points of a cloud their heights, and {type(encoder).__name__} "
-                "takes images: leave it out."
-            )
+        self.encoder, self.encoder_is_frozen = encoder, freeze
+        self.joins_heights = reads_table and sees_clouds(encoder)
         if freeze:
             encoder.requires_grad_(False).eval()
 
@@ -55,21 +51,26 @@ class EncoderNetwork(nn.Module):
         """
         if observed.is_floating_point():
             observed = observed.to(dtype)
-        if self.reads_table:
+        if self.joins_heights:
             observed = join_heights(observed, vectors[-1].to(observed.dtype))
         feature = self.encoder(observed)
         return torch.cat((feature, *(vector.to(feature.dtype) for vector in vectors)), dim=-1)
 
 
-def build_encoder(encoder: Encoder, in_channels: int, *, freeze: bool = False) -> tuple[nn.Module, int]:
+def build_encoder(
+    encoder: Encoder, in_channels: int, *, freeze: bool = False, heights: bool = False
+) -> tuple[nn.Module, int]:
     """The encoder for inputs of `in_channels`, and the size of its feature, its `out_features`.
 
-    A module is taken as it is, or copied to `freeze` it: its other owners go on training theirs.
+    A module is taken as it is, or copied to `freeze` it: its other owners go on training theirs. With
+    `heights`, points have one more channel; images have none.
     """
     if isinstance(encoder, nn.Module):
         built = deepcopy(encoder) if freeze else encoder
     else:
-        built = encoder(in_channels)
+        built = encoder(in_channels + heights)
+        if heights and not sees_clouds(built):
+            built = encoder(in_channels)
     size = getattr(built, "out_features", None)
     if not isinstance(size, int):
         raise ConfigError(
@@ -77,6 +78,11 @@ def build_encoder(encoder: Encoder, in_channels: int, *, freeze: bool = False) -
             "set it to the size of the feature that the encoder returns."
         )
     return built, size
+
+
+def sees_clouds(encoder: nn.Module) -> bool:
+    """Whether the encoder takes clouds rather than images."""
+    return get_channel_dim(encoder) == -1
 
 
 def get_channel_dim(encoder: nn.Module) -> int:

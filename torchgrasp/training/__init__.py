@@ -25,5 +25,6 @@ from torchgrasp.training.seeding import get_rng_state as get_rng_state
 from torchgrasp.training.seeding import seed_everything as seed_everything
 from torchgrasp.training.seeding import set_rng_state as set_rng_state
 from torchgrasp.training.stopwatch import Stopwatch as Stopwatch
+from torchgrasp.training.weights import PRETRAINED as PRETRAINED
 from torchgrasp.training.weights import load_weights as load_weights
 from torchgrasp.training.weights import save_weights as save_weights

@@ -17,6 +17,8 @@ import torchgrasp
 from torchgrasp.errors import CheckpointError, ConfigError
 
 _SEPARATOR = "/"
+# The policy that comes with the library; pretrained.json beside it tells how it was trained and what it does.
+PRETRAINED = Path(torchgrasp.__file__).parent / "weights" / "pretrained.safetensors"
 
 
 def save_weights(
