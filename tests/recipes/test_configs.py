@@ -65,7 +65,7 @@ def test_every_environment_passes_check_env_specs(composed, meshes, env, objects
 def test_every_learner_builds(composed, experiment, model, loss):
     chosen = ["transforms=rgbd", "replay=images", "replay.augment=null"] if model == "resnet18" else []
     cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25", *chosen)
-    shapes = {"points": (262, 4), "image": (4, 112, 112), "time_left": (1,)}
+    shapes = {"points": (262, 4), "image": (4, 112, 112), "time_left": (1,), "table_plane": (4,)}
     learner = Learner(cfg, shapes)
     assert learner.loss.bc_weight == {"bc": 1.0, "td3_bc": 0.2, "td3_bc_laptop": 0.98}[loss]
     assert learner.targets.period == cfg.online.period

@@ -88,7 +88,12 @@ def test_a_cell_composes_with_every_scale_and_builds(compose_cell, cell, scale):
     OmegaConf.update(cfg, "model.critic.freeze_encoder", False)
     cfg.replay.online_capacity = 100
     channels = cfg.model.get("channels", 4)
-    shapes = {"points": (cfg.num_points + 6, 4), "image": (channels, 32, 32), "time_left": (1,)}
+    shapes = {
+        "points": (cfg.num_points + 6, 4),
+        "image": (channels, 32, 32),
+        "time_left": (1,),
+        "table_plane": (4,),
+    }
     learner = (Imitator if cfg.recipe == "bc" else Learner)(cfg, shapes)
     assert ("critic" in learner.networks) is (cfg.recipe != "bc")
     assert ("goal_network" in learner.networks) is cfg.model.actor.goal_input

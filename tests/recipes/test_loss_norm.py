@@ -14,7 +14,8 @@ REST = torch.tensor([[0.0, 0, 0, 0, 0, 0, 1]])
 @pytest.mark.parametrize(("overrides", "expected"), [([], 0.07), (["loss.distance.norm=l2"], 0.05)])
 def test_the_norm_reaches_every_pose_loss(composed, loss, overrides, expected):
     learner = Learner(
-        composed("experiment=smoke", f"loss={loss}", *overrides), {"points": (38, 4), "time_left": (1,)}
+        composed("experiment=smoke", f"loss={loss}", *overrides),
+        {"points": (38, 4), "time_left": (1,), "table_plane": (4,)},
     )
     for each in (learner.loss, learner.imitation):
         assert each.distance(ACTION, torch.zeros(1, 6)).item() == pytest.approx(expected)
