@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import torch
+from scipy.ndimage import minimum_filter
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError, check_range
-from torchgrasp.transforms.base import check_is_cloud, read_rows, write_clouds
+from torchgrasp.transforms.base import CameraName, camera_keys, check_is_cloud, read_rows, write_clouds
 from torchgrasp.transforms.history import HistoryTransform
 
 # Powers of alpha carry errors that must not add a point: 0.9**2 * 100 is 81.00000000000001 in floats.
@@ -58,31 +59,59 @@ class AggregatePoints(HistoryTransform[_Union]):
     world's union begins anew at its reset. On a tensordict that is not an environment's, the last batch
     dimension is time, and a union begins anew after each ("next", "done").
 
+    With `carve` a point goes when the camera looks through the place where it was: the target has moved
+    (Sec. 6.6, where the paper gives up aggregation). Neighbouring pixels must agree, so that outlines stay; a
+    pixel without a return is empty space, which a sensor with holes cannot claim.
+
     Args:
         alpha: share that the draw shrinks by at every step; 1 keeps every point.
         max_points: of the union; beyond it a uniform draw of the union is kept.
+        carve: metres that a point must lie in front of what is seen behind it to go; None keeps all.
+        fov: the camera's vertical field of view, radians, for `carve`.
+        camera: whose picture, for `carve`: the wrist's or the static one's.
         seed: of the draws.
     """
 
-    def __init__(self, alpha: float = 0.95, *, max_points: int = 16384, seed: int = 0) -> None:
+    def __init__(
+        self,
+        alpha: float = 0.95,
+        *,
+        max_points: int = 16384,
+        carve: float | None = None,
+        fov: float = math.pi / 2,
+        camera: CameraName = "wrist",
+        seed: int = 0,
+    ) -> None:
         check_range("transforms.aggregate.alpha", alpha, 0.0, 1.0, open_low=True)
+        check_range("transforms.aggregate.fov", fov, 0.0, math.pi * 0.95, open_low=True)
+        if carve is not None:
+            check_range("transforms.aggregate.carve", carve, 0.0, math.inf)
         if max_points < 1:
             raise ConfigError(f"transforms.aggregate.max_points={max_points}: give at least 1.")
+        source = camera_keys(camera)
+        seen = [] if carve is None else [source.depth, source.pose]
         super().__init__(
-            in_keys=[keys.POINTS, keys.NUM_POINTS, keys.T_BASE_EE],
+            in_keys=[keys.POINTS, keys.NUM_POINTS, keys.T_BASE_EE, *seen],
             out_keys=[keys.POINTS, keys.NUM_POINTS],
             seed=seed,
         )
         self.alpha = alpha
         self.max_points = max_points
+        self.carve = carve
+        self.fov = fov
 
     def _begin(self) -> _Union:
         return _Union()
 
     def _see(self, tensordict: TensorDictBase, memories: list[_Union], rows: list[int]) -> TensorDictBase:
-        points, counts, T_base_ee = read_rows(tensordict, *self.in_keys)
+        points, counts, T_base_ee, *picture = read_rows(tensordict, *self.in_keys)
         check_is_cloud("AggregatePoints", points)
         generators = self._generators(tensordict, rows)
+        if self.carve is not None:
+            depth, T_base_camera = picture
+            for row in rows:
+                seen_through = self._find_seen_through(memories[row].points, depth[row], T_base_camera[row])
+                memories[row].keep(np.flatnonzero(~seen_through))
         for row, rng in zip(rows, generators, strict=True):
             self._add_view(memories[row], points[row, : counts[row, 0]], T_base_ee[row], rng)
         out = np.zeros((len(memories), self.max_points, 3), dtype=np.float32)
@@ -92,6 +121,21 @@ class AggregatePoints(HistoryTransform[_Union]):
             np.matmul(union.points, inverse, out=cloud[: union.size])
         write_clouds(tensordict, out, [union.size for union in memories])
         return tensordict
+
+    def _find_seen_through(
+        self, points: np.ndarray, depth: np.ndarray, T_base_camera: np.ndarray
+    ) -> np.ndarray:
+        """(M,) which homogeneous points (M, 4) of the base lie in front of all that their pixels show."""
+        height, width = depth.shape
+        focal = height / 2 / math.tan(self.fov / 2)
+        x, y, z = ((points[:, :3] - T_base_camera[:3, 3]) @ T_base_camera[:3, :3]).T
+        ahead = np.maximum(z, 1e-6)
+        u = np.floor(focal * x / ahead + width / 2)
+        v = np.floor(focal * y / ahead + height / 2)
+        inside = (z > 1e-6) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        nearest = minimum_filter(np.where(depth > 0, depth, np.inf), size=3)
+        behind = nearest[np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)]
+        return inside & (z + self.carve < behind)
 
     def _add_view(
         self, union: _Union, seen: np.ndarray, T_base_ee: np.ndarray, rng: np.random.Generator
