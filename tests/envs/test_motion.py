@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchgrasp.envs import GraspEnv, HandoverTarget, JitterTarget, StaticTarget
+from torchgrasp.envs import GraspEnv, HandoverTarget, JitterTarget, MixedTarget, StaticTarget
 from torchgrasp.envs.motion import ROUTES, make_target_motion, moved
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
@@ -33,14 +33,14 @@ def rollout(env: GraspEnv):
 
 
 def test_a_static_target_makes_no_move():
-    pose, moves = StaticTarget().present(np.random.default_rng(0), at_rest(), AREA)
-    assert np.array_equal(pose, at_rest()) and len(moves) == 0
+    pose, moves, held = StaticTarget().present(np.random.default_rng(0), at_rest(), AREA)
+    assert np.array_equal(pose, at_rest()) and len(moves) == 0 and not held
 
 
 def test_a_jittering_target_moves_at_most_so_far_and_stays_in_the_area():
     largest = np.zeros(3)
     for seed in range(100):
-        pose, moves = JitterTarget().present(np.random.default_rng(seed), at_rest(), AREA)
+        pose, moves, _ = JitterTarget().present(np.random.default_rng(seed), at_rest(), AREA)
         assert np.array_equal(pose, at_rest()) and moves.shape == (12, 3)
         places = pose[:2, 3] + np.cumsum(moves[:, :2], axis=0)
         assert np.all(places >= [0.40 - 1e-9, -0.25 - 1e-9]) and np.all(places <= [0.65 + 1e-9, 0.25 + 1e-9])
@@ -59,8 +59,8 @@ def test_a_jittering_target_moves_at_most_so_far_and_stays_in_the_area():
     ],
 )
 def test_a_handed_target_is_where_its_route_says(route, first, last):
-    pose, moves = HandoverTarget(route=route).present(np.random.default_rng(0), at_rest(), AREA)
-    assert pose[1, 3] == pytest.approx(first)
+    pose, moves, held = HandoverTarget(route=route).present(np.random.default_rng(0), at_rest(), AREA)
+    assert held and pose[1, 3] == pytest.approx(first)
     assert pose[1, 3] + moves[:, 1].sum() == pytest.approx(last)
     assert 0.25 <= pose[2, 3] <= 0.40 and np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
     assert not len(moves) or np.abs(moves[:, 1]).max() < 0.05
@@ -69,11 +69,35 @@ def test_a_handed_target_is_where_its_route_says(route, first, last):
 def test_random_routes_are_all_taken_and_tilts_are_bounded():
     sides, tilts = set(), []
     for seed in range(60):
-        pose, moves = HandoverTarget().present(np.random.default_rng(seed), at_rest(), AREA)
+        pose, moves, _ = HandoverTarget().present(np.random.default_rng(seed), at_rest(), AREA)
         sides.add((round(pose[1, 3], 3), round(float(moves[:, 1].sum()), 3) + 0.0))
         tilts.append(np.arccos(pose[2, 2]))
     assert len(sides) == len(ROUTES)
     assert 0.4 < max(tilts) <= 0.5 + 1e-9
+
+
+def test_a_mixture_draws_each_motion_by_its_weight():
+    drawn = [MixedTarget().present(np.random.default_rng(seed), at_rest(), AREA) for seed in range(200)]
+    kinds = ["held" if each.held else "moving" if len(each.moves) else "static" for each in drawn]
+    assert kinds.count("static") / 200 == pytest.approx(0.5, abs=0.1)
+    assert kinds.count("moving") / 200 == pytest.approx(0.25, abs=0.1)
+    assert kinds.count("held") / 200 == pytest.approx(0.25, abs=0.1)
+
+
+@pytest.mark.parametrize("weights", [(1.0,), (0.0, 0.0, 0.0), (1.0, -1.0, 1.0)])
+def test_a_mixture_refuses_weights_that_choose_nothing(weights):
+    with pytest.raises(ConfigError, match="weights"):
+        MixedTarget(weights=weights)
+
+
+def test_in_a_mixture_the_held_alone_hang_in_the_air():
+    env = make_env("mixed", horizon=2, seed=1)
+    heights = {True: [], False: []}
+    for episode in range(6):
+        for world in range(4):
+            scene = env.scene(world, episode)
+            heights[scene.held].append(scene.T_base_object[2, 3])
+    assert min(heights[True]) > 0.24 > 0.15 > max(heights[False])
 
 
 def test_a_move_turns_an_object_about_itself():

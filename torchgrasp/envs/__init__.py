@@ -3,6 +3,8 @@
 from torchgrasp.envs.grasp import GraspEnv as GraspEnv
 from torchgrasp.envs.motion import HandoverTarget as HandoverTarget
 from torchgrasp.envs.motion import JitterTarget as JitterTarget
+from torchgrasp.envs.motion import MixedTarget as MixedTarget
+from torchgrasp.envs.motion import Presentation as Presentation
 from torchgrasp.envs.motion import StaticTarget as StaticTarget
 from torchgrasp.envs.motion import TargetMotion as TargetMotion
 from torchgrasp.envs.starts import Start as Start

@@ -46,7 +46,7 @@ class GraspEnv(EnvBase):
         horizon: T, steps of an episode (Sec. 6.4: 30).
         start: the distribution of object places and start postures.
         physics: masses, friction, forces, rates; what has a range is drawn for each episode.
-        target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (Sec. 6.7), or a motion itself.
+        target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (6.7), ``mixed``, or a motion itself.
         action_space: ``ee_delta``, ``joint_delta`` or ``joint_velocity``.
         grasp_trigger: ``horizon``: the fingers close after the last step; ``between_fingers``: after
             the first at which the target fills half of the space between them, at the last otherwise.
@@ -76,7 +76,7 @@ class GraspEnv(EnvBase):
         horizon: int = 30,
         start: Start | None = None,
         physics: Physics | None = None,
-        target_motion: TargetMotion | Literal["static", "jitter", "handover"] = "static",
+        target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",
         action_space: ActionSpaceName = "ee_delta",
         grasp_trigger: GraspTrigger = "horizon",
         object_order: Literal["random", "cycle"] = "random",
@@ -162,7 +162,7 @@ class GraspEnv(EnvBase):
                     scene.T_base_object,
                     scene.q,
                     scene.physics,
-                    held=self._scenes.motion.held,
+                    held=scene.held,
                     appearance=scene.appearance,
                 ),
             )
@@ -196,7 +196,7 @@ class GraspEnv(EnvBase):
             if step >= len(scene.moves):
                 continue
             after = moved(T_base_object[row], scene.moves[step])
-            if not self._scenes.motion.held:
+            if not scene.held:
                 points = surface_points(self.objects[scene.object_id])
                 hand = np.linalg.solve(after, T_base_ee[row])[None]
                 if hand_blocked(points, hand, approach=0.0, margin=0.01)[0]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -25,20 +26,26 @@ _ENDS = {
 _STILL: Moves = np.zeros((0, 3))
 
 
-class TargetMotion(ABC):
-    """Where the target is presented, and its moves at the first steps of an episode.
+class Presentation(NamedTuple):
+    """How the target is presented in one episode.
 
     Attributes:
+        T_base_object: (4, 4) pose in which the episode begins.
+        moves: that follow, at the first steps.
         held: whether it is held in the air until the fingers have closed, rather than put on the table.
     """
 
+    T_base_object: np.ndarray
+    moves: Moves
     held: bool = False
 
+
+class TargetMotion(ABC):
+    """Where the target is presented, and its moves at the first steps of an episode."""
+
     @abstractmethod
-    def present(
-        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
-    ) -> tuple[np.ndarray, Moves]:
-        """The (4, 4) pose in which an episode begins and the moves that follow.
+    def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
+        """How an episode begins and goes on.
 
         Args:
             rng: of the draws.
@@ -50,11 +57,9 @@ class TargetMotion(ABC):
 class StaticTarget(TargetMotion):
     """The target lies still."""
 
-    def present(
-        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
-    ) -> tuple[np.ndarray, Moves]:
+    def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
         """See `TargetMotion.present`."""
-        return T_base_object, _STILL
+        return Presentation(T_base_object, _STILL)
 
 
 @dataclass(frozen=True)
@@ -76,9 +81,7 @@ class JitterTarget(TargetMotion):
         check_range("target_motion.translation", self.translation, 0.0, 0.5)
         check_range("target_motion.rotation", self.rotation, 0.0, np.pi)
 
-    def present(
-        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
-    ) -> tuple[np.ndarray, Moves]:
+    def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
         """See `TargetMotion.present`; the target stays in the area."""
         scale = np.array([self.translation, self.translation, self.rotation])
         moves = rng.uniform(-1, 1, (self.steps, 3)) * scale
@@ -86,7 +89,7 @@ class JitterTarget(TargetMotion):
         for move in moves:
             after = np.clip(place + move[:2], [low for low, _ in area], [high for _, high in area])
             move[:2], place = after - place, after
-        return T_base_object, moves
+        return Presentation(T_base_object, moves)
 
 
 @dataclass(frozen=True)
@@ -111,8 +114,6 @@ class HandoverTarget(TargetMotion):
     tilt: float = 0.5
     steps: int = 15
 
-    held = True
-
     def __post_init__(self) -> None:
         if self.route != "random" and self.route not in ROUTES:
             raise ConfigError(
@@ -128,9 +129,7 @@ class HandoverTarget(TargetMotion):
             check_range(f"target_motion.{name}[0]", pair[0], low, high)
             check_range(f"target_motion.{name}[1]", pair[1], pair[0], high)
 
-    def present(
-        self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple
-    ) -> tuple[np.ndarray, Moves]:
+    def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
         """See `TargetMotion.present`; a move speeds up and slows down like a cosine."""
         drawn = ROUTES[rng.integers(len(ROUTES))]
         route = drawn if self.route == "random" else self.route
@@ -139,11 +138,39 @@ class HandoverTarget(TargetMotion):
         pose[:3, :3] = _tilted(rng, self.tilt) @ T_base_object[:3, :3]
         pose[:3, 3] = rng.uniform(*self.x), first * self.side, rng.uniform(*self.z)
         if first == last:
-            return pose, _STILL
+            return Presentation(pose, _STILL, held=True)
         shares = (1.0 - np.cos(np.linspace(0.0, np.pi, self.steps + 1))) / 2
         moves = np.zeros((self.steps, 3))
         moves[:, 1] = np.diff(shares) * (last - first) * self.side
-        return pose, moves
+        return Presentation(pose, moves, held=True)
+
+
+@dataclass(frozen=True)
+class MixedTarget(TargetMotion):
+    """Each episode has one of several motions: for policies that are to meet them all.
+
+    Attributes:
+        motions: what is drawn from.
+        weights: of the draw, one a motion.
+    """
+
+    motions: Sequence[TargetMotion] = field(
+        default_factory=lambda: (StaticTarget(), JitterTarget(), HandoverTarget())
+    )
+    weights: Sequence[float] = (2.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        usable = len(self.motions) == len(self.weights) and all(weight >= 0 for weight in self.weights)
+        if not usable or not 0.0 < sum(self.weights) < np.inf:
+            raise ConfigError(
+                f"target_motion.weights={list(self.weights)}: give each of the {len(self.motions)} motions a "
+                "weight of at least 0, one of them more."
+            )
+
+    def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
+        """See `TargetMotion.present`."""
+        shares = np.asarray(self.weights) / sum(self.weights)
+        return self.motions[rng.choice(len(self.motions), p=shares)].present(rng, T_base_object, area)
 
 
 def _check_steps(steps: int, least: int) -> None:
@@ -173,11 +200,13 @@ def moved(T_base_object: np.ndarray, move: np.ndarray) -> np.ndarray:
     return out
 
 
-def make_target_motion(motion: TargetMotion | Literal["static", "jitter", "handover"]) -> TargetMotion:
+def make_target_motion(
+    motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"],
+) -> TargetMotion:
     """The motion itself, or that of the name with its usual numbers."""
     if isinstance(motion, TargetMotion):
         return motion
-    named = {"static": StaticTarget, "jitter": JitterTarget, "handover": HandoverTarget}
+    named = {"static": StaticTarget, "jitter": JitterTarget, "handover": HandoverTarget, "mixed": MixedTarget}
     if motion not in named:
         raise ConfigError(
             f"env.target_motion={motion!r} is unknown: give {', '.join(named)} or a TargetMotion."

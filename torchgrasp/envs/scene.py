@@ -35,6 +35,7 @@ class Scene:
         physics: of the episode.
         moves: (K, 3) moves of the target at the first K steps, see `torchgrasp.envs.motion`.
         appearance: seed of textures and light.
+        held: whether the target is held in the air until the fingers have closed.
     """
 
     object_id: int
@@ -43,6 +44,7 @@ class Scene:
     physics: Physics
     moves: np.ndarray
     appearance: int
+    held: bool = False
 
 
 class SceneSampler:
@@ -93,12 +95,20 @@ class SceneSampler:
             if at_rest is None:
                 continue
             area = (self.start.table_x, self.start.table_y)
-            T_base_object, moves = self.motion.present(motion_rng, at_rest, area)
-            q = self._start_posture(rng, self.objects[object_id], T_base_object)
+            presented = self.motion.present(motion_rng, at_rest, area)
+            q = self._start_posture(rng, self.objects[object_id], presented.T_base_object)
             if q is not None:
                 physics = self.physics.draw(self._stream(seed, world, episode, _PHYSICS))
                 appearance = int(self._stream(seed, world, episode, _APPEARANCE).integers(2**31))
-                return Scene(object_id, T_base_object, q, physics, moves, appearance)
+                return Scene(
+                    object_id,
+                    presented.T_base_object,
+                    q,
+                    physics,
+                    presented.moves,
+                    appearance,
+                    presented.held,
+                )
         raise ObjectError(
             f"None of {_MAX_TRIES} draws from {len(self.objects)} objects (the last: "
             f"{self.objects[object_id].name}) lies within reach with {MIN_CLEAR_GRASPS} grasps clear: "
