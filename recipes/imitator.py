@@ -29,6 +29,7 @@ from torchgrasp.training import (
     get_rng_state,
     load_checkpoint,
     save_checkpoint,
+    save_weights,
     seed_everything,
     set_rng_state,
     step_schedule,
@@ -183,8 +184,10 @@ class Imitator:
         return sum(self._recent) / len(self._recent) if self._recent else None
 
     def checkpoint(self, run_dir: Path) -> None:
-        """Write everything that a resumed run needs, all or nothing."""
+        """Write everything that a resumed run needs, all or nothing, and the weights as they are now."""
         save_checkpoint(run_dir / "checkpoint", self._state())
+        config: Any = OmegaConf.to_container(self.cfg, resolve=True)
+        save_weights(run_dir / "weights.safetensors", self.networks, config)
 
     def _state(self) -> dict[str, Any]:
         return {

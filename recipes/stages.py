@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import albums
 import common
@@ -12,7 +11,7 @@ import policies
 import predictions
 import reports
 from imitator import Imitator
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from schedule import count_offline_updates
 from sources import Source
 
@@ -21,7 +20,6 @@ from torchgrasp.training import (
     EpisodePool,
     MetricsLogger,
     Progress,
-    save_weights,
     write_summary,
 )
 
@@ -145,8 +143,6 @@ def conclude(
     cfg: DictConfig, learner: Imitator, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> dict:
     """Measure the policy beside what was measured before and the baselines; write and print the summary."""
-    config: Any = OmegaConf.to_container(cfg, resolve=True)
-    save_weights(run_dir / "weights.safetensors", learner.networks, config)
     failed, predicted = albums.FailureAlbum(), albums.GraspAlbum()
     tables = {"policy": common.evaluate(cfg, pool, learner.policy, "policy", watch=failed.add)}
     tables |= learner.results
