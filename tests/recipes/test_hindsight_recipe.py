@@ -1,5 +1,6 @@
 """recipes/hindsight.py: no expert, goals from success alone, frozen encoders, rates before and after."""
 
+import bc
 import common
 import hindsight
 import pytest
@@ -70,6 +71,17 @@ def test_goals_are_the_poses_that_successful_episodes_reached(composed, tmp_path
         if episode.success:
             reached = steps["T_base_ee"] @ goal_to_pose(steps["goal"])
             torch.testing.assert_close(reached, steps["next", "T_base_ee"][-1:].expand(reached.shape))
+
+
+def test_a_critic_that_imitation_has_not_trained_is_not_frozen(composed, tmp_path):
+    given = ["experiment=smoke", "total_env_steps=0", "evaluation.baselines=[]", "evaluation.episodes=2"]
+    bc.train(composed(*given, recipe="bc"))
+    init = f"init={find_run(tmp_path, 'bc')}"
+    with pytest.raises(ConfigError, match=r"critic.freeze_encoder=true would keep random weights"):
+        hindsight.train(composed(*SMALL, init, recipe="hindsight"))
+    assert not (tmp_path / "hindsight").exists()
+    cfg = composed(*SMALL, init, "model.critic.freeze_encoder=false", recipe="hindsight")
+    assert hindsight.train(cfg)["env_steps"] >= 24
 
 
 def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
