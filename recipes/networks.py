@@ -135,8 +135,10 @@ def make_row(
     shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
     if absent := [key for key in codec.observation_keys if key not in shapes]:
         raise ConfigError(
-            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points and "
-            "transforms.table, or choose transforms=rgb, rgbd or rgbdm with replay=images."
+            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, choose "
+            "transforms=rgb, rgbd or rgbdm with replay=images, and where table_plane is absent add "
+            "'+transforms.table={_target_: torchgrasp.transforms.TablePlane}', or do without by "
+            "model.table_input=false 'replay.codec.state_keys=[time_left]'."
         )
     row = codec.example_row(shapes)
     if augment is not None:
