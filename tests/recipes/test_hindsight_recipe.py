@@ -1,5 +1,7 @@
 """recipes/hindsight.py: no expert, goals from success alone, frozen encoders, rates before and after."""
 
+import shutil
+
 import bc
 import common
 import hindsight
@@ -92,4 +94,7 @@ def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
     given = [f"init={trained}", f"demonstrations.path={tmp_path / 'nowhere'}"]
     with pytest.raises(ConfigError, match="holds none"):
         hindsight.train(composed(*SMALL, *given, recipe="hindsight"))
+    alone = shutil.copy(trained / "weights.safetensors", tmp_path / "alone.safetensors")
+    with pytest.raises(ConfigError, match="has no demonstrations beside it"):
+        hindsight.train(composed(*SMALL, f"init={alone}", recipe="hindsight"))
     assert not (tmp_path / "hindsight").exists()
