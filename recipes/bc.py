@@ -16,7 +16,7 @@ import hydra
 import settings
 import stages
 from imitator import Imitator
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
 from torchgrasp.errors import ConfigError
@@ -41,10 +41,11 @@ def train(cfg: DictConfig) -> dict:
 
 def check_rollouts(cfg: DictConfig) -> None:
     """Refuse rollouts of somebody else, and nobody's where the run is online."""
-    given = list(cfg.online.rollouts)
-    if set(given) - set(ROLLOUTS) or not (given or cfg.offline.updates):
+    given = cfg.online.rollouts
+    named = isinstance(given, ListConfig) and set(given) <= set(ROLLOUTS)
+    if not named or not (given or cfg.offline.updates):
         raise ConfigError(
-            f"online.rollouts={given}: name those who act in turn, of {', '.join(ROLLOUTS)}, or give "
+            f"online.rollouts={given}: name those who act in turn, of [{', '.join(ROLLOUTS)}], or give "
             "offline.updates=auto for demonstrations alone."
         )
 

@@ -17,6 +17,7 @@ import hydra
 import policies
 import settings
 from hydra.utils import instantiate
+from networks import make_row
 from omegaconf import DictConfig
 from origin import SHARD_ROUNDS, check_learner, check_origin, describe_origin, take_given
 from sources import Source, list_demonstrations
@@ -146,7 +147,7 @@ def main(cfg: DictConfig) -> None:
     """Collect into `demonstrations.path`, by default outputs/demonstrations."""
     path = Path(cfg.demonstrations.path or Path(cfg.output_dir) / "demonstrations")
     settings.check_values(cfg)
-    common.observed_shapes(cfg)
+    make_row(instantiate(cfg.replay.codec), None, common.observed_shapes(cfg))  # refuses what cannot be kept
     with common.make_pool(cfg) as pool:
         common.prepare_objects(cfg, "train")
         card = collect(cfg, pool, path)

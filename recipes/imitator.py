@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from experience import Experience
 from hydra.utils import instantiate
-from networks import check_frozen, join_policy, load_networks, make_networks, predicts_goal
+from networks import begin_networks, join_policy, make_networks, predicts_goal
 from omegaconf import DictConfig, OmegaConf
 from schedule import count_offline_updates
 from tensordict import TensorDictBase
@@ -61,10 +61,8 @@ class Imitator:
         self.cfg = cfg
         made = make_networks(cfg.model, critic=critic)
         self.networks = {name: each.to(cfg.device) for name, each in made.items()}
-        if cfg.resume is None and cfg.init is None:
-            check_frozen(cfg.model, self.networks)
-        elif cfg.resume is None:
-            load_networks(self.networks, Path(str(cfg.init)))
+        if cfg.resume is None or not _has_checkpoint(Path(str(cfg.resume))):
+            begin_networks(cfg, self.networks)
         self.actor = self.networks["actor"]
         self._make_losses()
         self.optimizers = {name: torch.optim.Adam(each.parameters()) for name, each in self.networks.items()}
@@ -206,7 +204,7 @@ class Imitator:
 
     def resume(self, run_dir: Path) -> bool:
         """Take up the checkpoint of `run_dir`; False where it has none yet."""
-        if not find_folder(run_dir / "checkpoint").exists():
+        if not _has_checkpoint(run_dir):
             return False
         state = load_checkpoint(run_dir / "checkpoint")
         try:
@@ -230,3 +228,7 @@ class Imitator:
             setattr(self, name, progress[name])
         self.results, self._earlier_seconds = progress["results"], progress["wall_seconds"]
         self._recent.extend(progress["recent"])
+
+
+def _has_checkpoint(run_dir: Path) -> bool:
+    return find_folder(run_dir / "checkpoint").exists()

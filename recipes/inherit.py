@@ -7,8 +7,9 @@ from typing import Any
 
 from networks import forget_encoder_files
 from omegaconf import DictConfig, OmegaConf
-from settings import brought_along, given_names
+from settings import brought_along, given_names, weights_file
 
+from torchgrasp.data import count_shards
 from torchgrasp.errors import ConfigError
 
 # Parts of the configuration, of the task, of the storage and of the demonstrations.
@@ -42,7 +43,12 @@ def begun_with(cfg: DictConfig) -> DictConfig:
     plain["replay"] |= {name: brought["replay"][name] for name in _STORAGE}
     if cfg.demonstrations.path is None:
         theirs = {name: brought["demonstrations"][name] for name in _DEMONSTRATIONS}
-        folder = (path if path.is_dir() else path.parent) / "demonstrations"
+        folder = weights_file(path).parent / "demonstrations"
+        if theirs["path"] is None and not count_shards(folder):
+            raise ConfigError(
+                f"init={path} has no demonstrations beside it, which would be D_expert: give "
+                "demonstrations.path=<folder of recipes/collect.py>, collected with what init brings along."
+            )
         plain["demonstrations"] |= {**theirs, "path": theirs["path"] or str(folder)}
     begun: Any = OmegaConf.create(plain)
     forget_encoder_files(begun.model)

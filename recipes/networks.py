@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +58,17 @@ def forget_encoder_files(model: DictConfig) -> None:
             model[name].encoder.weights = None
 
 
-def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> None:
-    """Give the networks the weights of the same names in a run directory or weights file.
+def begin_networks(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> None:
+    """Give the networks the weights that `init` names, if it does; refuse encoders frozen at random ones."""
+    untrained = dict(networks)
+    if cfg.init is not None:
+        for name in load_networks(networks, Path(str(cfg.init))):
+            del untrained[name]
+    check_frozen(cfg.model, untrained)
+
+
+def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> list[str]:
+    """Give the networks the weights of the same names in a run directory or weights file; returns the names.
 
     A critic stays as it is where imitation alone, which trains none, has left the file.
     """
@@ -68,6 +77,7 @@ def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> N
         print(f"{path} was trained by imitation: the critic begins anew.")
         networks = {name: each for name, each in networks.items() if name != "critic"}
     _give(networks, states, path)
+    return list(networks)
 
 
 def _give(
@@ -81,14 +91,15 @@ def _give(
         raise CheckpointError(f"{path} holds weights of other networks: {reason}") from error
 
 
-def check_frozen(model: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> None:
-    """Refuse to freeze encoders at their random first weights."""
-    frozen = [name for name in networks if OmegaConf.select(model, f"{name}.freeze_encoder")]
-    if frozen and OmegaConf.select(model, "encoder.weights") is None:
-        raise ConfigError(
-            f"model.{frozen[0]}.freeze_encoder=true would keep random weights: add init=<run directory or "
-            "weights file>, or resume the run that is to be tuned."
-        )
+def check_frozen(model: DictConfig, untrained: Iterable[str]) -> None:
+    """Refuse to freeze encoders of the networks so named, which are at their random first weights."""
+    for name in untrained:
+        frozen = OmegaConf.select(model, f"{name}.freeze_encoder")
+        if frozen and OmegaConf.select(model, f"{name}.encoder.weights") is None:
+            raise ConfigError(
+                f"model.{name}.freeze_encoder=true would keep random weights: add init=<run directory or "
+                f"weights file> that has trained it, or model.{name}.freeze_encoder=false."
+            )
 
 
 def join_policy(networks: dict[str, TensorDictModuleBase]) -> TensorDictModuleBase:
@@ -124,8 +135,10 @@ def make_row(
     shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
     if absent := [key for key in codec.observation_keys if key not in shapes]:
         raise ConfigError(
-            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points and "
-            "transforms.table, or choose transforms=rgb, rgbd or rgbdm with replay=images."
+            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, choose "
+            "transforms=rgb, rgbd or rgbdm with replay=images, and where table_plane is absent add "
+            "'+transforms.table={_target_: torchgrasp.transforms.TablePlane}', or do without by "
+            "model.table_input=false 'replay.codec.state_keys=[time_left]'."
         )
     row = codec.example_row(shapes)
     if augment is not None:

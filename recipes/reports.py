@@ -15,8 +15,9 @@ from torchgrasp.training.report import Picture, write_report
 # What stands at the head of a report, where a recipe has it.
 _HIGHLIGHTS = (
     *("seed", "objects._target_", "objects.num_objects", "evaluation.num_objects", "camera._target_"),
-    *("env.horizon", "env.target_motion", "expert._target_", "model.encoder._target_", "num_points"),
-    *("pretrain.steps", "total_env_steps", "loss.bc_weight", "replay.online_fraction", "init"),
+    *("env.horizon", "env.target_motion", "evaluation.target_motion", "expert._target_"),
+    *("model.encoder._target_", "num_points", "pretrain.steps", "total_env_steps"),
+    *("loss.bc_weight", "replay.online_fraction", "init"),
 )
 _BIN = 5  # steps of the learner that are counted together
 

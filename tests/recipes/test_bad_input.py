@@ -16,6 +16,7 @@ from torchgrasp.errors import ConfigError
         (["demonstrations.kind=learner", "demonstrations.policy=no/such/run"], "no/such/run"),
         (["demonstrations.policy=some/run"], "no other kind takes one"),
         (["demonstrations.path=README.md"], "README.md is a file"),
+        (["~transforms.table"], "+transforms.table={_target_: torchgrasp.transforms.TablePlane}"),
     ],
 )
 def test_impossible_demonstrations(run_recipe, overrides, told):
@@ -53,6 +54,7 @@ def test_impossible_values(run_recipe, overrides, told):
         (["evaluation.episodes=true"], "evaluation.episodes=True is no whole number"),
         (["replay.online_capacity=0"], "replay.online_capacity=0 is out of range"),
         (["demonstrations.expert_start=maybe"], "demonstrations.expert_start=maybe is no switch"),
+        (["model.table_input=maybe"], "model.table_input=maybe is no switch"),
         (["collector.disturb=null"], "collector.disturb=None .* demonstrations.kind=expert"),
         (["demonstrations.kind=failed", "collector.disturb_to_fail=3"], "collector.disturb_to_fail=3"),
     ],

@@ -80,7 +80,7 @@ def test_a_run_goes_on_where_it_was_stopped(composed, tmp_path):
 
 
 def test_what_cannot_be_is_refused(composed):
-    for given in ("[]", "[nobody]"):
+    for given in ("[]", "[nobody]", "expert", "null"):
         with pytest.raises(ConfigError, match="name those who act in turn"):
             bc.train(composed("experiment=smoke", f"online.rollouts={given}", recipe="bc"))
     cfg = composed("experiment=smoke", "total_env_steps=0", "offline.updates=auto", recipe="bc")

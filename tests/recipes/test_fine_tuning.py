@@ -1,5 +1,7 @@
 """Fine-tuning of a trained policy with hindsight goals and frozen encoders (Sec. 6.1, 6.3)."""
 
+import shutil
+
 import pytest
 import td3_bc
 import torch
@@ -29,6 +31,18 @@ def test_heads_learn_from_where_the_first_run_ended(composed, tmp_path):
         assert encoder and heads
         assert all(torch.equal(before[name][key], after[name][key]) for key in encoder)
         assert not all(torch.equal(before[name][key], after[name][key]) for key in heads)
+
+
+def test_a_run_that_was_stopped_before_its_first_checkpoint_still_begins_with_init(composed, tmp_path):
+    still = ["total_env_steps=0", "pretrain.steps=0"]
+    first = _trained(composed, tmp_path)
+    second = _trained(composed, tmp_path, f"init={first}", "seed=7", *still)
+    shutil.rmtree(second / "checkpoint")
+    (second / "weights.safetensors").unlink()
+    td3_bc.train(composed(f"resume={second}"))
+    before, after = (load_weights(each / "weights.safetensors")[0] for each in (first, second))
+    for name, states in before.items():
+        assert all(torch.equal(value, after[name][key]) for key, value in states.items())
 
 
 def test_what_cannot_begin_is_refused_before_anything_is_collected(composed, tmp_path):

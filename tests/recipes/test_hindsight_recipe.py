@@ -1,5 +1,8 @@
 """recipes/hindsight.py: no expert, goals from success alone, frozen encoders, rates before and after."""
 
+import shutil
+
+import bc
 import common
 import hindsight
 import pytest
@@ -72,6 +75,17 @@ def test_goals_are_the_poses_that_successful_episodes_reached(composed, tmp_path
             torch.testing.assert_close(reached, steps["next", "T_base_ee"][-1:].expand(reached.shape))
 
 
+def test_a_critic_that_imitation_has_not_trained_is_not_frozen(composed, tmp_path):
+    given = ["experiment=smoke", "total_env_steps=0", "evaluation.baselines=[]", "evaluation.episodes=2"]
+    bc.train(composed(*given, recipe="bc"))
+    init = f"init={find_run(tmp_path, 'bc')}"
+    with pytest.raises(ConfigError, match=r"critic.freeze_encoder=true would keep random weights"):
+        hindsight.train(composed(*SMALL, init, recipe="hindsight"))
+    assert not (tmp_path / "hindsight").exists()
+    cfg = composed(*SMALL, init, "model.critic.freeze_encoder=false", recipe="hindsight")
+    assert hindsight.train(cfg)["env_steps"] >= 24
+
+
 def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
     with pytest.raises(ConfigError, match="init is missing"):
         hindsight.train(composed(*SMALL, recipe="hindsight"))
@@ -80,4 +94,7 @@ def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
     given = [f"init={trained}", f"demonstrations.path={tmp_path / 'nowhere'}"]
     with pytest.raises(ConfigError, match="holds none"):
         hindsight.train(composed(*SMALL, *given, recipe="hindsight"))
+    alone = shutil.copy(trained / "weights.safetensors", tmp_path / "alone.safetensors")
+    with pytest.raises(ConfigError, match="has no demonstrations beside it"):
+        hindsight.train(composed(*SMALL, f"init={alone}", recipe="hindsight"))
     assert not (tmp_path / "hindsight").exists()

@@ -109,6 +109,25 @@ def test_other_scenes_are_refused_by_name(tmp_path, part, name, value):
         check_same_scenes([ours, ours, other])
 
 
+def test_targets_move_as_the_evaluation_says(tmp_path):
+    """Where `evaluation.target_motion` is given, it holds; else the environment's own."""
+    motions = {"still": (None, "static"), "told": ("jitter", "static"), "own": (None, "jitter")}
+    still, told, own = (
+        read_result(
+            write_run(
+                tmp_path / name,
+                0,
+                5,
+                config={"evaluation": {"target_motion": motion}, "env": {"target_motion": trained}},
+            )
+        )
+        for name, (motion, trained) in motions.items()
+    )
+    check_same_scenes([told, own])
+    with pytest.raises(ConfigError, match=r"env.target_motion=static and jitter"):
+        check_same_scenes([still, told])
+
+
 def test_what_training_alone_sees_may_differ(tmp_path):
     trained_otherwise = {"objects": {"num_objects": 1500, "num_grasps": 50}, "env": {"num_envs": 1}}
     check_same_scenes(

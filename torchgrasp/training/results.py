@@ -92,7 +92,10 @@ def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
     if objects.get("split") is not None:  # the evaluation's split and number hold, where there are splits
         objects |= {name: evaluation[name] for name in ("split", "num_objects") if name in evaluation}
     chosen = {name: evaluation[name] for name in _OF_EVALUATION if name in evaluation}
-    parts = {"evaluation": chosen, "objects": objects, "env": config.get("env", {})}
+    env = dict(config.get("env", {}))
+    if evaluation.get("target_motion") is not None:  # of the evaluation's targets alone
+        env["target_motion"] = evaluation["target_motion"]
+    parts = {"evaluation": chosen, "objects": objects, "env": env}
     return {name: value for name, value in _flatten(parts) if name not in _NOT_OF_SCENES}
 
 

@@ -159,8 +159,8 @@ class WorkerPool(EpisodePool):
             return
         message = (
             f"{what[0].upper()}{what[1:]} cost {task.deaths} workers their lives; the last, {name}, {death}. "
-            "If memory ran out, lower collector.num_workers or env.num_envs; collector=serial shows other "
-            "errors. Then go on with resume=<run dir>."
+            "If memory ran out, lower collector.num_workers; collector.num_workers=0 shows other errors. "
+            "Either goes with resume=<run dir>."
         )
         _settle(task, TorchgraspError(message))
 
