@@ -84,6 +84,7 @@ def test_transforms_are_tuned_dropped_and_replaced_by_name(composed):
         "DepthToPoints",
         "AggregatePoints",
         "SamplePoints",
+        "TablePlane",
     ]
     assert env.transform[1].alpha == 0.9
     swapped = composed(

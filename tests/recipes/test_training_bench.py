@@ -9,7 +9,7 @@ from torchgrasp.errors import ConfigError
 def test_rows_hold_what_the_loop_wrote(composed, capsys):
     options = ['training.overrides=["experiment=smoke"]', "training.workers=[0,1]", "training.iterations=2"]
     rows = training_bench.benchmark_training(composed(*options, recipe="benchmark"))
-    assert list(rows) == ["0", "1"]
+    assert list(rows) == ["0", "1", "1, overlapping"]
     for row in rows.values():
         # An iteration has 2 episodes of 6 steps and 3 updates.
         assert row["env_steps_per_second_of_both"] * row["iteration_seconds"] == pytest.approx(12)
