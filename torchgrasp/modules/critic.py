@@ -52,7 +52,8 @@ class GraspCritic(TensorDictModule):
         freeze_encoder: keep the encoder as it is; under early fusion gradients still pass through it
             to the action. A module is copied, as for GraspActor.
         in_keys: the encoder's input, time left and the action.
-        goal_key, table_key: what `goal_input` and `table_input` add to `in_keys`, before the action.
+        goal_key: what `goal_input` adds to `in_keys`, before the action.
+        table_key: what `table_input` adds, after that.
         out_keys: the values, then the goal prediction where there is one.
 
     Example:
