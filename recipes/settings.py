@@ -177,7 +177,8 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
         given = _given_values(f"{option}={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
         task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
         plain = {key: value for key, value in cfg.items() if key not in kept}
-        cfg = _merge(plain, {**kept, "env": task}, given)
+        seen = {"num_points": brought.get("num_points", cfg.num_points)}  # what its transforms say
+        cfg = _merge(plain, {**kept, "env": task}, given, seen)
     # objects.split=... and objects.num_objects=... say which objects, as everywhere.
     chosen = {
         name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in given_names()
