@@ -54,13 +54,7 @@ def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: Episode
             relabel(episode.steps)  # where it succeeded, the pose that it reached
             learner.experience.add(episode)
 
-        metrics: dict[str, float] = {}
-        for update in range(1, learner.updates_ahead + 1):
-            batch = learner.experience.sample()
-            metrics |= learner.update_critic(batch)
-            if update % cfg.online.policy_delay == 0:
-                metrics |= learner.update_actor(batch)
-        iterations.done(metrics)
+        iterations.done(learner.reinforce())
     rounds.close()
 
 

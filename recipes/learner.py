@@ -48,6 +48,16 @@ class Learner(Imitator):
         metrics = super().pretrain(batch)
         return metrics | self._learn_values(batch) if self.cfg.pretrain.critic else metrics
 
+    def reinforce(self) -> dict[str, float]:
+        """The updates of an iteration: the critic's, and one of the actor every `online.policy_delay`."""
+        metrics: dict[str, float] = {}
+        for update in range(1, self.updates_ahead + 1):
+            batch = self.experience.sample()
+            metrics |= self.update_critic(batch)
+            if update % self.cfg.online.policy_delay == 0:
+                metrics |= self.update_actor(batch)
+        return metrics
+
     def update_critic(self, batch: TensorDictBase) -> dict[str, float]:
         """One update after Eq. (3), and the targets' step."""
         self.gradient_steps += 1

@@ -57,13 +57,7 @@ def reinforce(
                     without_expert(episode.steps)
                 learner.experience.add(episode)
 
-        metrics: dict[str, float] = {}
-        for update in range(1, learner.updates_ahead + 1):
-            batch = learner.experience.sample()
-            metrics |= learner.update_critic(batch)
-            if update % cfg.online.policy_delay == 0:
-                metrics |= learner.update_actor(batch)
-        iterations.done(metrics)
+        iterations.done(learner.reinforce())
     rounds.close()
 
 

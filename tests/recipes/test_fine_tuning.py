@@ -6,6 +6,7 @@ import pytest
 import td3_bc
 import torch
 from hydra.errors import InstantiationException
+from runner import assert_heads_alone_learned
 
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.training import load_weights
@@ -24,13 +25,7 @@ def _trained(composed, tmp_path, *overrides):
 def test_heads_learn_from_where_the_first_run_ended(composed, tmp_path):
     first = _trained(composed, tmp_path)
     tuned = _trained(composed, tmp_path, f"init={first}", "seed=7", *FROZEN, *HINDSIGHT)
-    before, after = (load_weights(each / "weights.safetensors")[0] for each in (first, tuned))
-    for name in ("actor", "critic"):
-        encoder = [key for key in before[name] if ".encoder." in key]
-        heads = [key for key in before[name] if "head" in key]
-        assert encoder and heads
-        assert all(torch.equal(before[name][key], after[name][key]) for key in encoder)
-        assert not all(torch.equal(before[name][key], after[name][key]) for key in heads)
+    assert_heads_alone_learned(first, tuned)
 
 
 def test_a_run_that_was_stopped_before_its_first_checkpoint_still_begins_with_init(composed, tmp_path):

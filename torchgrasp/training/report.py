@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from torchgrasp.training.html import (
     make_table,
 )
 from torchgrasp.training.plots import can_plot, plot_curves, to_svg
+from torchgrasp.training.tree import flatten
 
 _NO_PICTURES = 'No pictures: they need the extra viz, pip install "torchgrasp[viz]".'
 _MAX_POINTS = 400  # of a curve; more only make the file large
@@ -205,13 +206,4 @@ def _origin(summary: Mapping[str, Any], config: Mapping[str, Any]) -> Iterator[M
     yield Markup("<h2>Configuration</h2>")
     yield make_section("versions", make_table((), summary.get("versions", {}).items()), closed=True)
     yield make_section("hardware", make_table((), summary.get("hardware", {}).items()), closed=True)
-    yield make_section("all options", make_table((), _flatten(config)), closed=True)
-
-
-def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
-    """(dotted name, value) of a nested mapping's leaves."""
-    for key, item in value.items():
-        if isinstance(item, Mapping) and item:
-            yield from _flatten(item, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", item
+    yield make_section("all options", make_table((), flatten(config)), closed=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.training.tree import flatten
 
 # Of the environment and the objects, what does not change a scene: scenes come from the evaluation's worlds
 # and seed, the number of grasps is the expert's.
@@ -96,7 +97,7 @@ def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
     if evaluation.get("target_motion") is not None:  # of the evaluation's targets alone
         env["target_motion"] = evaluation["target_motion"]
     parts = {"evaluation": chosen, "objects": objects, "env": env}
-    return {name: value for name, value in _flatten(parts) if name not in _NOT_OF_SCENES}
+    return {name: value for name, value in flatten(parts) if name not in _NOT_OF_SCENES}
 
 
 def check_same_scenes(results: Sequence[RunResult]) -> None:
@@ -147,7 +148,7 @@ def _measures(table: Mapping[str, Any]) -> tuple[dict[str, float], tuple[int, in
     if "success_rate" in table:
         rate, episodes = float(table["success_rate"]), int(table["episodes"])
         return {"success rate": rate}, (round(rate * episodes), episodes)
-    numbers = {name.replace(".", " "): value for name, value in _flatten(table)}
+    numbers = {name.replace(".", " "): value for name, value in flatten(table)}
     measures = {n: float(v) for n, v in numbers.items() if isinstance(v, int | float)}
     return {n.replace("_", " "): v for n, v in measures.items() if not n.endswith("trajectories")}, None
 
@@ -173,11 +174,3 @@ def _seed(config: Mapping[str, Any]) -> int | None:
         if trained.is_file():
             return _read(trained).get("seed")
     return None
-
-
-def _flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, item in value.items():
-        if isinstance(item, Mapping) and item:
-            yield from _flatten(item, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", item

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -115,3 +115,16 @@ _UNPACKERS: dict[str, Callable[[dict, Mapping[str, Tensor]], Any]] = {
     "dict": lambda v, t: dict(_unpack_pairs(v, t)),
     "ordered": lambda v, t: OrderedDict(_unpack_pairs(v, t)),
 }
+
+
+def flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted name, value) of a nested mapping's leaves; an empty mapping is a leaf.
+
+    >>> list(flatten({"env": {"horizon": 30, "start": {}}, "seed": 0}))
+    [('env.horizon', 30), ('env.start', {}), ('seed', 0)]
+    """
+    for key, item in value.items():
+        if isinstance(item, Mapping) and item:
+            yield from flatten(item, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", item
