@@ -10,15 +10,15 @@ from typing import Any
 from omegaconf import DictConfig, ListConfig
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.training.sweep import group_jobs, read_sweep
+from torchgrasp.training.sweep import SweepJob, group_jobs, read_sweep
 
 
 def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]:
     """Run directories by label, each once, in the order given.
 
     Args:
-        runs: a run directory, a pattern or a list of these; a mapping of labels to any of them; or the
-            folder of a sweep, which has a label for each choice of options but the seed.
+        runs: a run directory, a pattern, the folder of a sweep or a list of these; a mapping of labels to
+            any of them. A sweep's folder alone has a label for each choice of options but the seed.
         label: of runs that are given without one.
         holding: a file that a directory holds where a pattern means it: other recipes' may lie beside.
     """
@@ -27,12 +27,8 @@ def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]
     jobs = read_sweep(str(runs)) if isinstance(runs, str) and Path(runs).is_dir() else []
     if not jobs:
         return {label: _find(label, runs, holding)}
-    groups = {name: [job.run_dir for job in group] for name, group in group_jobs(jobs).items()}
-    found = {name: [run for run in group if run is not None] for name, group in groups.items()}
-    for job in jobs:
-        if job.run_dir is None:
-            print(f"Left out: job {job.number} ({job.words}) has no run: {job.failure or 'unfinished'}")
-    return {name: group for name, group in found.items() if group}
+    groups = {name: _runs_of(group) for name, group in group_jobs(jobs).items()}
+    return {name: group for name, group in groups.items() if group}
 
 
 def unquote_labels(arguments: list[str]) -> list[str]:
@@ -50,5 +46,15 @@ def _find(label: str, group: Any, holding: str) -> list[Path]:
             matches = [each for each in matches if (Path(each) / holding).is_file()]
         if not matches:
             raise ConfigError(f"runs={pattern} ({label}): no run directory with {holding} is there.")
-        found |= {Path(each).resolve(): Path(each) for each in matches}
+        for each in matches:
+            jobs = read_sweep(each)
+            found |= {run.resolve(): run for run in (_runs_of(jobs) if jobs else [Path(each)])}
     return list(found.values())
+
+
+def _runs_of(jobs: list[SweepJob]) -> list[Path]:
+    """The jobs' run directories; a job without one is named."""
+    for job in jobs:
+        if job.run_dir is None:
+            print(f"Left out: job {job.number} ({job.words}) has no run: {job.failure or 'unfinished'}")
+    return [job.run_dir for job in jobs if job.run_dir is not None]

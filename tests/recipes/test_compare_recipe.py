@@ -48,6 +48,15 @@ def test_a_failed_run_is_refused(composed, runs):
         compare.compare(composed(f"runs={{a: {runs}/dagger/*}}", recipe="compare"))
 
 
+def test_a_label_may_name_a_sweep(composed, runs):
+    for seed in (0, 1):
+        write_job(runs / "sweep", SweepJob(seed, (f"seed={seed}",), runs / "plain" / f"run{seed}", ended=True))
+    write_job(runs / "sweep", SweepJob(2, ("seed=2",), failure="too large"))
+    groups = f"runs={{with DAgger: {runs}/dagger/*, without: {runs}/sweep}}"
+    rows = compare.compare(composed(groups, recipe="compare"))
+    assert [(row.label, row.seeds) for row in rows] == [("with DAgger", (0, 1)), ("without", (0, 1))]
+
+
 def test_a_sweep_is_compared_by_what_was_swept(composed, runs, capsys):
     for number, folder in enumerate(("plain", "dagger")):
         for seed in (0, 1):
