@@ -13,7 +13,7 @@ from torchgrasp.data import count_shards
 from torchgrasp.errors import ConfigError
 
 # Parts of the configuration, of the task, of the storage and of the demonstrations.
-_PARTS = ("model", "camera", "overhead", "transforms")
+_PARTS = ("model", "camera", "overhead", "transforms", "num_points")
 _TASK = ("horizon", "action_space")
 _STORAGE = ("codec", "augment")
 _DEMONSTRATIONS = ("kind", "count", "path", "steps")
@@ -38,7 +38,7 @@ def begun_with(cfg: DictConfig) -> DictConfig:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
     brought = brought_along(path, list(cfg.trust))
     plain: Any = OmegaConf.to_container(cfg)
-    plain |= {name: brought[name] for name in _PARTS}
+    plain |= {name: brought[name] for name in _PARTS if name in brought}
     plain["env"] |= {name: brought["env"][name] for name in _TASK}
     plain["replay"] |= {name: brought["replay"][name] for name in _STORAGE}
     if cfg.demonstrations.path is None:

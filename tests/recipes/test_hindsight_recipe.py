@@ -91,3 +91,9 @@ def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
     with pytest.raises(ConfigError, match="has no demonstrations beside it"):
         hindsight.train(composed(*SMALL, f"init={alone}", recipe="hindsight"))
     assert not (tmp_path / "hindsight").exists()
+
+
+@pytest.mark.parametrize("given", ["num_points=64", "transforms.aggregate.alpha=0.9"])
+def test_what_the_first_run_brings_along_is_not_given_anew(run_recipe, trained, given):
+    code, _, err = run_recipe("hindsight", *SMALL, f"init={trained}", given)
+    assert code == 1 and f"leave out {given.split('=')[0]}" in err
