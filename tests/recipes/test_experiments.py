@@ -16,7 +16,7 @@ from sources import list_demonstrations
 from torchgrasp.errors import ConfigError
 
 FOLDER = ROOT / "conf" / "experiment"
-SCALES = ("laptop", "paper", "smoke")
+SCALES = ("laptop", "minutes", "paper", "smoke")
 CELLS = sorted(
     str(path.relative_to(FOLDER).with_suffix(""))
     for path in FOLDER.glob("*/*.yaml")
