@@ -4,7 +4,8 @@ python recipes/hindsight.py init=outputs/td3_bc/<run>                          #
 python recipes/hindsight.py init=outputs/td3_bc/<run> physics=low_friction
 python recipes/hindsight.py init=outputs/td3_bc/<run> objects=procedural
 
-Nothing here knows an expert: its episodes have no label and no goal but where their own hand has grasped.
+Nothing here knows an expert: its episodes have no goal but where their own hand has grasped, and no label but
+what they did themselves where it succeeded, with `online.self_imitation=true`.
 """
 
 from __future__ import annotations
@@ -44,14 +45,14 @@ def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: Episode
     """Algorithm 1 with D = D_expert of known objects and D_hindsight, by Eq. (5)."""
     modules: list = [learner.policy, learner.noise]
     rounds = common.rounds(cfg, pool, TensorDictSequential(*modules), first=learner.iterations)
-    relabel = HindsightGoal()
+    relabel = HindsightGoal(imitate=cfg.online.self_imitation)
     learner.begin_reinforcement()
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="fine-tuning")
     for _ in iterations:
         episodes = stages.take_round(learner, rounds)
         learner.note_successes(episodes)
         for episode in episodes:
-            relabel(episode.steps)  # where it succeeded, the pose that it reached
+            relabel(episode.steps)  # where it succeeded, the pose that it reached; on demand its actions too
             learner.experience.add(episode)
 
         iterations.done(learner.reinforce())

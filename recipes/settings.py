@@ -45,7 +45,13 @@ _AT_LEAST = {
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),
-    *("evaluation.grasp_prediction", "online.dagger", "collector.overlap", "model.table_input"),
+    *(
+        "evaluation.grasp_prediction",
+        "online.dagger",
+        "online.self_imitation",
+        "collector.overlap",
+        "model.table_input",
+    ),
     *(
         f"model.{network}.{name}"
         for network in ("actor", "critic")

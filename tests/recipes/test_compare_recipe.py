@@ -50,7 +50,9 @@ def test_a_failed_run_is_refused(composed, runs):
 
 def test_a_label_may_name_a_sweep(composed, runs):
     for seed in (0, 1):
-        write_job(runs / "sweep", SweepJob(seed, (f"seed={seed}",), runs / "plain" / f"run{seed}", ended=True))
+        write_job(
+            runs / "sweep", SweepJob(seed, (f"seed={seed}",), runs / "plain" / f"run{seed}", ended=True)
+        )
     write_job(runs / "sweep", SweepJob(2, ("seed=2",), failure="too large"))
     groups = f"runs={{with DAgger: {runs}/dagger/*, without: {runs}/sweep}}"
     rows = compare.compare(composed(groups, recipe="compare"))

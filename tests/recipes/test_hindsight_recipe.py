@@ -93,6 +93,15 @@ def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
     assert not (tmp_path / "hindsight").exists()
 
 
+def test_what_has_worked_is_imitated_on_demand(composed, tmp_path, trained):
+    """Labels of D_hindsight are its own actions, where the episode succeeded and nowhere else."""
+    options = ["online.self_imitation=true"]
+    hindsight.train(composed(*SMALL, f"init={trained}", *options, recipe="hindsight"))
+    rows = stored_rows(find_run(tmp_path, "hindsight"), "hindsight")
+    assert torch.equal(rows["has_expert"], rows["episode_success"])
+    assert torch.equal(rows["expert_action"], rows["action"])
+
+
 @pytest.mark.parametrize("given", ["num_points=64", "transforms.aggregate.alpha=0.9"])
 def test_what_the_first_run_brings_along_is_not_given_anew(run_recipe, trained, given):
     code, _, err = run_recipe("hindsight", *SMALL, f"init={trained}", given)

@@ -172,3 +172,35 @@ def test_a_mirrored_batch_mirrors_the_next_goal_too():
     batch = RandomMirror()(TensorDict({"points": points, "goal": goal, "next": {"goal": goal}}, [64]))
     assert torch.equal(batch["goal"], batch["next", "goal"])
     assert len(batch["goal"].unique(dim=0)) == 4
+
+
+def test_actions_of_successful_episodes_become_labels_but_for_disturbed_steps():
+    steps = make_steps()
+    steps["action"] = torch.rand(2, 5, 6)
+    steps["perturbed"] = torch.zeros(2, 5, 1, dtype=torch.bool)
+    steps["perturbed"][1, 2] = True
+    out = HindsightGoal(imitate=True)(steps.clone())
+    assert out["has_expert"].squeeze(-1).tolist() == [
+        [True, True, False, False, False],
+        [True, True, False, True, False],
+    ]
+    assert torch.equal(out["expert_action"], steps["action"])
+    assert HindsightGoal()(steps.clone()).get("has_expert", None) is None
+
+
+def test_labels_that_are_known_stay_on_demand():
+    steps = make_steps()
+    steps["action"], steps["expert_action"] = torch.ones(2, 5, 6), torch.full((2, 5, 6), 7.0)
+    steps["has_expert"] = torch.zeros(2, 5, 1, dtype=torch.bool)
+    steps["has_expert"][0] = True
+    kept = HindsightGoal(keep=True, imitate=True)(steps.clone())
+    assert kept["has_expert"][0].all() and (kept["expert_action"][0] == 7).all()
+    assert kept["has_expert"][1, :4].all() and (kept["expert_action"][1] == 1).all()
+    gone = HindsightGoal(imitate=True)(steps.clone())
+    assert (gone["expert_action"] == 1).all() and gone["has_expert"][0].squeeze(-1).tolist() == [
+        1,
+        1,
+        0,
+        0,
+        0,
+    ]

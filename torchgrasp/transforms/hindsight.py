@@ -28,8 +28,11 @@ class HindsightGoal(Transform):
     environment, which does not know how an episode ends, it changes nothing.
 
     Args:
-        keep: leave goals that are known already, such as the expert's, where has_goal is true. By
-            default they go: of unknown objects there are none.
+        keep: leave goals that are known already, such as the expert's, where has_goal is true, and
+            labels where has_expert is. By default they go: of unknown objects there are none.
+        imitate: also make the actions of successful episodes labels of imitation, EXPERT_ACTION
+            (*, T, 6) and HAS_EXPERT (*, T, 1), but for steps that a disturbance moved (perturbed).
+            Self-imitation after Oh et al. 2018, without their values; not in the paper.
 
     Example:
         >>> from tensordict import TensorDict
@@ -41,9 +44,9 @@ class HindsightGoal(Transform):
         tensor([0.3000, 0.2000])
     """
 
-    def __init__(self, *, keep: bool = False) -> None:
+    def __init__(self, *, keep: bool = False, imitate: bool = False) -> None:
         super().__init__()
-        self._keep = keep
+        self._keep, self._imitate = keep, imitate
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the goals of trajectories (*, T); a tensordict without poses stays as it is."""
@@ -77,6 +80,8 @@ class HindsightGoal(Transform):
         T_base_reached = after.gather(-3, end[..., None, None].expand(after.shape))
         for states in (steps, following):
             self._write(states, T_base_reached, success)
+        if self._imitate:
+            self._write_labels(steps, success)
         return steps.set("next", following)
 
     def _write(self, states: TensorDictBase, T_base_reached: Tensor, success: Tensor) -> None:
@@ -88,3 +93,13 @@ class HindsightGoal(Transform):
         if self._keep and old is not None and known is not None:
             goal, has_goal = torch.where(known, old, goal), known | has_goal
         states.set(keys.GOAL, goal).set(keys.HAS_GOAL, has_goal)
+
+    def _write_labels(self, steps: TensorDictBase, success: Tensor) -> None:
+        """Make the actions of the `steps` (*, T) labels where `success` (*, T) holds."""
+        action, has_expert = steps[keys.ACTION], success[..., None]
+        if (perturbed := steps.get(keys.PERTURBED, None)) is not None:
+            has_expert = has_expert & ~perturbed
+        old, known = (steps.get(key, None) for key in (keys.EXPERT_ACTION, keys.HAS_EXPERT))
+        if self._keep and old is not None and known is not None:
+            action, has_expert = torch.where(known, old, action), known | has_expert
+        steps.set(keys.EXPERT_ACTION, action.clone()).set(keys.HAS_EXPERT, has_expert)
