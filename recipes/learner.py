@@ -49,12 +49,16 @@ class Learner(Imitator):
         return metrics | self._learn_values(batch) if self.cfg.pretrain.critic else metrics
 
     def reinforce(self) -> dict[str, float]:
-        """The updates of an iteration: the critic's, and one of the actor every `online.policy_delay`."""
+        """The updates of an iteration: the critic's, and one of the actor every `online.policy_delay`.
+
+        During the first `online.critic_warmup` iterations the critic learns alone.
+        """
         metrics: dict[str, float] = {}
+        actor_learns = self.iterations >= self.cfg.online.critic_warmup
         for update in range(1, self.updates_ahead + 1):
             batch = self.experience.sample()
             metrics |= self.update_critic(batch)
-            if update % self.cfg.online.policy_delay == 0:
+            if actor_learns and update % self.cfg.online.policy_delay == 0:
                 metrics |= self.update_actor(batch)
         return metrics
 

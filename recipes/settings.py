@@ -35,13 +35,13 @@ _RELAYS = ("combined", "takeover")
 _TABLETOP = {"_target_": "torchgrasp.envs.TabletopStart", "spread": 0.0}
 # Whole numbers and the least that each can be.
 _AT_LEAST = {
-    "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0, "pretrain.batch_size": 1,
-    "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1, "online.updates": 1,
-    "online.policy_delay": 1, "evaluation.episodes": 1, "evaluation.num_envs": 1, "evaluation.seed": 0,
-    "checkpoint.iterations": 1, "checkpoint.steps": 1, "episodes": 1, "resets": 10, "batch": 1, "scenes": 1,
-    "video.episodes": 0, "collector.num_workers": 0, "env.num_envs": 1, "env.horizon": 1, "num_points": 1,
-    "clouds.batch": 1, "clouds.points": 1, "clouds.repeats": 1, "clouds.threads": 1, "draws": 1,
-    "training.iterations": 1, "training.warmup": 0,
+    "seed": 0, "total_env_steps": 0, "demonstrations.steps": 1, "pretrain.steps": 0,
+    "pretrain.batch_size": 1, "replay.batch_size": 1, "replay.online_capacity": 1, "collector.episodes": 1,
+    "online.updates": 1, "online.policy_delay": 1, "online.critic_warmup": 0, "evaluation.episodes": 1,
+    "evaluation.num_envs": 1, "evaluation.seed": 0, "checkpoint.iterations": 1, "checkpoint.steps": 1,
+    "episodes": 1, "resets": 10, "batch": 1, "scenes": 1, "video.episodes": 0, "collector.num_workers": 0,
+    "env.num_envs": 1, "env.horizon": 1, "num_points": 1, "clouds.batch": 1, "clouds.points": 1,
+    "clouds.repeats": 1, "clouds.threads": 1, "draws": 1, "training.iterations": 1, "training.warmup": 0,
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),

@@ -15,7 +15,7 @@ from test_bc import find_run, stored_rows
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import goal_to_pose
-from torchgrasp.training import load_checkpoint
+from torchgrasp.training import load_checkpoint, load_weights
 from torchgrasp.transforms import HindsightGoal
 
 SMALL = ["experiment=[smoke,hindsight/normal]", "total_env_steps=24", "objects=procedural"]
@@ -106,3 +106,17 @@ def test_what_has_worked_is_imitated_on_demand(composed, tmp_path, trained):
 def test_what_the_first_run_brings_along_is_not_given_anew(run_recipe, trained, given):
     code, _, err = run_recipe("hindsight", *SMALL, f"init={trained}", given)
     assert code == 1 and f"leave out {given.split('=')[0]}" in err
+
+
+def test_the_critic_may_learn_alone_at_first(composed, tmp_path, trained):
+    """In a run of one iteration the actor stays while the critic learns."""
+    given = ["total_env_steps=16", "online.critic_warmup=1", "model.critic.freeze_encoder=false"]
+    hindsight.train(composed(*SMALL, *given, f"init={trained}", recipe="hindsight"))
+    before, after = (
+        load_weights(run / "weights.safetensors")[0] for run in (trained, find_run(tmp_path, "hindsight"))
+    )
+    changed = {
+        name: any(not torch.equal(value, after[name][key]) for key, value in states.items())
+        for name, states in before.items()
+    }
+    assert changed == {"actor": False, "critic": True}
