@@ -64,10 +64,21 @@ def check_origin(ours: dict, path: Path, card: dict, names: tuple[str, ...] = ()
 
 
 def take_given(cfg: DictConfig, name: str) -> Source:
-    """The source in the folder `demonstrations.path`, which fits the configuration."""
+    """The source `name` in the folder `demonstrations.path`, which fits the configuration.
+
+    Only further demonstrations may lack a path here, where nothing is collected.
+    """
+    if cfg.demonstrations.path is None:
+        raise ConfigError(
+            f"demonstrations.more.{name} has no path, and recipes/{cfg.recipe}.py collects nothing: collect "
+            f"it by recipes/collect.py first, and give {name} that folder as its path."
+        )
     path = Path(str(cfg.demonstrations.path))
     if not count_shards(path):
-        raise ConfigError(f"demonstrations.path={path} holds none: collect them by recipes/collect.py first.")
+        raise ConfigError(
+            f"demonstrations.path={path} holds none: collect them by recipes/collect.py first, or give the "
+            "folder that they were moved to."
+        )
     card = begin_demonstrations(path, kind=cfg.demonstrations.kind)
     check_origin(describe_origin(cfg), path, card, SHARED)
     check_enough(cfg, path)

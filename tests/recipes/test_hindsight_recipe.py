@@ -87,6 +87,11 @@ def test_what_cannot_be_fine_tuned_is_refused(composed, tmp_path, trained):
     given = [f"init={trained}", f"demonstrations.path={tmp_path / 'nowhere'}"]
     with pytest.raises(ConfigError, match="holds none"):
         hindsight.train(composed(*SMALL, *given, recipe="hindsight"))
+    more = "demonstrations.more={failed: {kind: failed}}"
+    with pytest.raises(
+        ConfigError, match=r"demonstrations.more.failed has no path.* give failed that folder"
+    ):
+        hindsight.train(composed(*SMALL, f"init={trained}", more, recipe="hindsight"))
     alone = shutil.copy(trained / "weights.safetensors", tmp_path / "alone.safetensors")
     with pytest.raises(ConfigError, match="has no demonstrations beside it"):
         hindsight.train(composed(*SMALL, f"init={alone}", recipe="hindsight"))
