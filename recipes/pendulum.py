@@ -12,6 +12,7 @@ import hydra
 import torch
 from hydra.utils import instantiate
 from omegaconf import DictConfig
+from schedule import check_milestones
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -138,6 +139,7 @@ def descend(optimizer: torch.optim.Optimizer, terms: TensorDictBase) -> None:
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Learn from each seed, and print and write the table."""
+    check_milestones("milestones", cfg.milestones)
     rows = {}
     print("seed  return before  return after  seconds")
     for seed in [cfg.seeds] if isinstance(cfg.seeds, int) else cfg.seeds:

@@ -1,8 +1,12 @@
-"""How long a run's main phase is."""
+"""How long a run's main phase is, and where its rate falls."""
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from typing import Any
+
+from omegaconf import DictConfig, ListConfig, OmegaConf
+
+from torchgrasp.errors import ConfigError, check_whole
 
 
 def count_rounds(cfg: DictConfig) -> int:
@@ -16,3 +20,27 @@ def count_offline_updates(cfg: DictConfig) -> int:
         return cfg.offline.updates
     steps = count_rounds(cfg) * cfg.env.num_envs * cfg.env.horizon  # of an iteration, none ending early
     return -(-cfg.total_env_steps // steps) * cfg.online.updates
+
+
+def check_schedule(cfg: DictConfig) -> None:
+    """Refuse lengths and milestones that no run can have; a recipe without them passes."""
+    updates = OmegaConf.select(cfg, "offline.updates", default=0)
+    if updates != "auto":
+        check_whole("offline.updates", updates, 0)
+    elif not cfg.total_env_steps:
+        raise ConfigError(
+            "offline.updates=auto makes as many as total_env_steps would, which is 0: give their number."
+        )
+    if "online" in cfg:
+        check_milestones("online.milestones", cfg.online.milestones)
+
+
+def check_milestones(name: str, milestones: Any) -> None:
+    """Refuse what is no list of shares of a run in increasing order."""
+    shares: list[Any] = list(milestones) if isinstance(milestones, ListConfig) else [None]
+    numbers = [each for each in shares if type(each) in (int, float) and 0.0 <= each <= 1.0]
+    if len(numbers) < len(shares) or numbers != sorted(set(numbers)):
+        raise ConfigError(
+            f"{name}={milestones}: give shares of the run from 0 to 1, each once and in order, such as "
+            "[0.4, 0.7], or [] for a rate that stays."
+        )

@@ -12,6 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from schedule import check_schedule
 from sources import list_demonstrations
 
 from torchgrasp.data import count_shards
@@ -45,13 +46,8 @@ _AT_LEAST = {
 }  # fmt: skip
 _SWITCHES = (
     *("demonstrations.expert_start", "pretrain.critic", "logger.tensorboard", "grasp_prediction"),
-    *(
-        "evaluation.grasp_prediction",
-        "online.dagger",
-        "online.self_imitation",
-        "collector.overlap",
-        "model.table_input",
-    ),
+    *("evaluation.grasp_prediction", "online.dagger", "online.self_imitation", "collector.overlap"),
+    "model.table_input",
     *(
         f"model.{network}.{name}"
         for network in ("actor", "critic")
@@ -71,7 +67,7 @@ def check_values(cfg: DictConfig) -> None:
     for name, low in _AT_LEAST.items():
         value = OmegaConf.select(cfg, name, default=low)
         check_whole(name, value, low)
-    _check_offline(cfg)
+    check_schedule(cfg)
     check_range("video.fps", OmegaConf.select(cfg, "video.fps", default=1), 1, 1000)
     for name in _SWITCHES:
         value = OmegaConf.select(cfg, name, default=False)
@@ -87,16 +83,6 @@ def check_values(cfg: DictConfig) -> None:
             _check_collector(each)
         if cfg.init is not None and not weights_file(Path(str(cfg.init))).is_file():
             raise ConfigError(f"init={cfg.init}: give a run directory or a weights file.")
-
-
-def _check_offline(cfg: DictConfig) -> None:
-    updates = OmegaConf.select(cfg, "offline.updates", default=0)
-    if updates != "auto":
-        check_whole("offline.updates", updates, 0)
-    elif not cfg.total_env_steps:
-        raise ConfigError(
-            "offline.updates=auto makes as many as total_env_steps would, which is 0: give their number."
-        )
 
 
 def check_device(name: str) -> None:

@@ -57,6 +57,8 @@ def test_impossible_values(run_recipe, overrides, told):
         (["model.table_input=maybe"], "model.table_input=maybe is no switch"),
         (["collector.disturb=null"], "collector.disturb=None .* demonstrations.kind=expert"),
         (["demonstrations.kind=failed", "collector.disturb_to_fail=3"], "collector.disturb_to_fail=3"),
+        (["online.milestones=[0.7,0.4]"], r"online.milestones=\[0.7, 0.4\]: give shares of the run"),
+        (["online.milestones=0.4"], "online.milestones=0.4: give shares of the run"),
     ],
 )
 def test_values_of_another_type(composed, overrides, told):

@@ -4,6 +4,9 @@ import math
 
 import pendulum
 import pytest
+from schedule import check_milestones
+
+from torchgrasp.errors import ConfigError
 
 SHORT = [
     "online_steps=4",
@@ -27,6 +30,21 @@ def test_milestones_of_a_tiny_run_may_fall_together(composed):
     """0.7 and 0.9 of one step are both step 1."""
     cfg = composed(*SHORT, "online_steps=1", recipe="pendulum")
     assert math.isfinite(pendulum.train(cfg, 0)["after"])
+
+
+@pytest.mark.parametrize(
+    "milestones", ["[0.9,0.7]", "[0.7,0.7]", "[0.7,1.5]", "[-0.1]", "[true]", "0.7", "null"]
+)
+def test_milestones_that_no_run_passes_in_order_are_refused(milestones, composed):
+    cfg = composed(f"milestones={milestones}", recipe="pendulum")
+    with pytest.raises(ConfigError, match=r"^milestones=.*: give shares of the run from 0 to 1"):
+        check_milestones("milestones", cfg.milestones)
+
+
+def test_milestones_are_refused_before_the_table_begins(run_recipe, tmp_path):
+    code, out, err = run_recipe("pendulum", *SHORT, "milestones=[0.9,0.7]")
+    assert code == 1 and err.startswith("error: milestones=[0.9, 0.7]") and not out
+    assert not (tmp_path / "pendulum").exists()
 
 
 @pytest.mark.parametrize("seeds", ["[3]", "3"])
