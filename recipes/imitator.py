@@ -14,12 +14,12 @@ from hydra.utils import instantiate
 from networks import begin_networks, join_policy, make_networks, predicts_goal
 from omegaconf import DictConfig, OmegaConf
 from schedule import count_offline_updates
+from settings import has_checkpoint
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
 from torchgrasp.data import MixtureReplayBuffer
-from torchgrasp.data.files import find_folder
 from torchgrasp.errors import CheckpointError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, functional
 from torchgrasp.training import (
@@ -61,7 +61,7 @@ class Imitator:
         self.cfg = cfg
         made = make_networks(cfg.model, critic=critic)
         self.networks = {name: each.to(cfg.device) for name, each in made.items()}
-        if cfg.resume is None or not _has_checkpoint(Path(str(cfg.resume))):
+        if not has_checkpoint(cfg.resume):
             begin_networks(cfg, self.networks)
         self.actor = self.networks["actor"]
         self._make_losses()
@@ -204,7 +204,7 @@ class Imitator:
 
     def resume(self, run_dir: Path) -> bool:
         """Take up the checkpoint of `run_dir`; False where it has none yet."""
-        if not _has_checkpoint(run_dir):
+        if not has_checkpoint(run_dir):
             return False
         state = load_checkpoint(run_dir / "checkpoint")
         try:
@@ -228,7 +228,3 @@ class Imitator:
             setattr(self, name, progress[name])
         self.results, self._earlier_seconds = progress["results"], progress["wall_seconds"]
         self._recent.extend(progress["recent"])
-
-
-def _has_checkpoint(run_dir: Path) -> bool:
-    return find_folder(run_dir / "checkpoint").exists()

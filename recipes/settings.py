@@ -16,6 +16,7 @@ from schedule import check_schedule
 from sources import list_demonstrations
 
 from torchgrasp.data import count_shards
+from torchgrasp.data.files import find_folder
 from torchgrasp.data.kinds import check_kind, resolve_count
 from torchgrasp.errors import CheckpointError, ConfigError, check_range, check_whole
 from torchgrasp.training import PRETRAINED, load_weights, make_run_dir
@@ -81,7 +82,8 @@ def check_values(cfg: DictConfig) -> None:
         for each in list_demonstrations(cfg).values():
             _check_demonstrations(each.demonstrations)
             _check_collector(each)
-        if cfg.init is not None and not weights_file(Path(str(cfg.init))).is_file():
+        begins = cfg.init is not None and not has_checkpoint(cfg.resume)
+        if begins and not weights_file(Path(str(cfg.init))).is_file():
             raise ConfigError(f"init={cfg.init}: give a run directory or a weights file.")
 
 
@@ -135,6 +137,11 @@ def resumed(cfg: DictConfig, recipe: str) -> DictConfig:
         cfg = _merge(stored, _given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
     check_values(cfg)
     return cfg
+
+
+def has_checkpoint(run: str | Path | None) -> bool:
+    """Whether there is a run directory and a checkpoint in it, whole or damaged: it does not begin anew."""
+    return run is not None and find_folder(Path(run) / "checkpoint").exists()
 
 
 def open_run(cfg: DictConfig, recipe: str) -> Path:

@@ -40,6 +40,18 @@ def test_a_run_that_was_stopped_before_its_first_checkpoint_still_begins_with_in
         assert all(torch.equal(value, after[name][key]) for key, value in states.items())
 
 
+def test_a_run_with_a_checkpoint_goes_on_without_its_init(composed, tmp_path):
+    still = ["total_env_steps=0", "pretrain.steps=0"]
+    first = _trained(composed, tmp_path, *still)
+    second = _trained(composed, tmp_path, f"init={first}", *still)
+    first.rename(tmp_path / "moved")
+    resume = f"resume={second}"
+    assert td3_bc.train(composed(resume))["env_steps"] == 0
+    shutil.rmtree(second / "checkpoint")
+    with pytest.raises(ConfigError, match=f"init={first}: give a run directory"):
+        td3_bc.train(composed(resume))
+
+
 def test_what_cannot_begin_is_refused_before_anything_is_collected(composed, tmp_path):
     with pytest.raises(ConfigError, match=r"freeze_encoder=true would keep random weights.*init="):
         td3_bc.train(composed(*SHORT, *FROZEN))
