@@ -48,15 +48,25 @@ def check_rollouts(cfg: DictConfig) -> None:
             f"online.rollouts={given}: name those who act in turn, of [{', '.join(ROLLOUTS)}], or give "
             "offline.updates=auto for demonstrations alone."
         )
+    kind = _acted_kind(cfg)
+    if "expert" in given and not cfg.offline.updates and kind in settings.DISTURBANCE:
+        name, reader = settings.DISTURBANCE[kind], f"online.rollouts={given}"
+        settings.check_behaviour(cfg, name, reader, "or leave expert out of the rollouts")
+
+
+def _acted_kind(cfg: DictConfig) -> str:
+    """How the expert acts in fresh episodes: disturbed, unless it was not in the demonstrations."""
+    return "expert" if cfg.demonstrations.kind == "expert" else "perturbed"
 
 
 def make_actors(cfg: DictConfig, learner: Imitator) -> list[TensorDictModuleBase]:
-    """Who acts in turn, as `online.rollouts` says; each state is labelled by the expert."""
-    disturbed = cfg.demonstrations.kind if cfg.demonstrations.kind == "expert" else "perturbed"
+    """Who acts in turn, as `online.rollouts` says; each state is labelled by the expert. Offline nobody."""
+    if cfg.offline.updates:
+        return []
     labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
     modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
     actors = {
-        "expert": lambda: collect.make_demonstrator(cfg, disturbed),
+        "expert": lambda: collect.make_demonstrator(cfg, _acted_kind(cfg)),
         "learner": lambda: TensorDictSequential(*modules),
     }
     return [actors[name]() for name in cfg.online.rollouts]

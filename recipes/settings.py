@@ -120,12 +120,16 @@ def _check_collector(cfg: DictConfig) -> None:
     if kind == "learner" and cfg.demonstrations.expert_start:
         needed["expert_start"] = "or leave demonstrations.expert_start out"
     for name, way in needed.items():
-        value = OmegaConf.select(cfg, f"collector.{name}")
-        if not isinstance(value, DictConfig) or "_target_" not in value:
-            raise ConfigError(
-                f"collector.{name}={value} with demonstrations.kind={kind}: configure it (probability=0 "
-                f"switches it off), {way}."
-            )
+        check_behaviour(cfg, name, f"demonstrations.kind={kind}", way)
+
+
+def check_behaviour(cfg: DictConfig, name: str, reader: str, way: str) -> None:
+    """Refuse a `collector.<name>` that cannot be called, though the option `reader` needs it."""
+    value = OmegaConf.select(cfg, f"collector.{name}")
+    if not isinstance(value, DictConfig) or "_target_" not in value:
+        raise ConfigError(
+            f"collector.{name}={value} with {reader}: configure it (probability=0 switches it off), {way}."
+        )
 
 
 def resumed(cfg: DictConfig, recipe: str) -> DictConfig:

@@ -83,6 +83,11 @@ def test_what_cannot_be_is_refused(composed):
     for given in ("[]", "[nobody]", "expert", "null"):
         with pytest.raises(ConfigError, match="name those who act in turn"):
             bc.train(composed("experiment=smoke", f"online.rollouts={given}", recipe="bc"))
+    undisturbed = ["demonstrations.kind=failed", "collector.disturb=null"]
+    with pytest.raises(ConfigError, match=r"collector.disturb=None with online.rollouts=.*leave expert out"):
+        bc.train(composed("experiment=smoke", *undisturbed, recipe="bc"))
+    for way in ("online.rollouts=[learner]", "offline.updates=3"):
+        bc.check_rollouts(composed("experiment=smoke", *undisturbed, way, recipe="bc"))
     cfg = composed("experiment=smoke", "total_env_steps=0", "offline.updates=auto", recipe="bc")
     with pytest.raises(ConfigError, match="which is 0: give their number"):
         bc.train(cfg)
