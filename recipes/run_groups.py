@@ -17,8 +17,8 @@ def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]
     """Run directories by label, each once, in the order given.
 
     Args:
-        runs: a run directory, a pattern, the folder of a sweep or a list of these; a mapping of labels to
-            any of them. A sweep's folder alone has a label for each choice of options but the seed.
+        runs: a run directory, the folder of a sweep, a pattern of either or a list of these; a mapping of
+            labels to any of them. A sweep's folder alone has a label for each choice of options but the seed.
         label: of runs that are given without one.
         holding: a file that a directory holds where a pattern means it: other recipes' may lie beside.
     """
@@ -28,6 +28,8 @@ def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]
     if not jobs:
         return {label: _find(label, runs, holding)}
     groups = {name: _runs_of(group) for name, group in group_jobs(jobs).items()}
+    if not any(groups.values()):
+        raise ConfigError(f"runs={runs}: none of the sweep's jobs has a run directory.")
     return {name: group for name, group in groups.items() if group}
 
 
@@ -41,15 +43,19 @@ def _find(label: str, group: Any, holding: str) -> list[Path]:
     patterns = [str(each) for each in (group if isinstance(group, list | ListConfig) else [group])]
     found: dict[Path, Path] = {}
     for pattern in patterns:
-        matches = sorted(glob.glob(pattern))
+        matches = [run for each in sorted(glob.glob(pattern)) for run in _runs_at(Path(each))]
         if glob.has_magic(pattern):
-            matches = [each for each in matches if (Path(each) / holding).is_file()]
+            matches = [run for run in matches if (run / holding).is_file()]
         if not matches:
             raise ConfigError(f"runs={pattern} ({label}): no run directory with {holding} is there.")
-        for each in matches:
-            jobs = read_sweep(each)
-            found |= {run.resolve(): run for run in (_runs_of(jobs) if jobs else [Path(each)])}
+        found |= {run.resolve(): run for run in matches}
     return list(found.values())
+
+
+def _runs_at(path: Path) -> list[Path]:
+    """The runs of a sweep's folder; any other path itself."""
+    jobs = read_sweep(path)
+    return _runs_of(jobs) if jobs else [path]
 
 
 def _runs_of(jobs: list[SweepJob]) -> list[Path]:

@@ -54,9 +54,17 @@ def test_a_label_may_name_a_sweep(composed, runs):
             runs / "sweep", SweepJob(seed, (f"seed={seed}",), runs / "plain" / f"run{seed}", ended=True)
         )
     write_job(runs / "sweep", SweepJob(2, ("seed=2",), failure="too large"))
-    groups = f"runs={{with DAgger: {runs}/dagger/*, without: {runs}/sweep}}"
-    rows = compare.compare(composed(groups, recipe="compare"))
-    assert [(row.label, row.seeds) for row in rows] == [("with DAgger", (0, 1)), ("without", (0, 1))]
+    for sweep in ("sweep", "swe*"):
+        groups = f"runs={{with DAgger: {runs}/dagger/*, without: {runs}/{sweep}}}"
+        rows = compare.compare(composed(groups, recipe="compare"))
+        assert [(row.label, row.seeds) for row in rows] == [("with DAgger", (0, 1)), ("without", (0, 1))]
+
+
+def test_a_sweep_without_a_run_is_named(composed, runs):
+    write_job(runs / "sweep", SweepJob(0, ("seed=0",), failure="too large"))
+    for given in (f"runs={{mine: {runs}/sweep}}", f"runs={runs}/sweep"):
+        with pytest.raises(ConfigError, match=r"no run directory|none of the sweep"):
+            compare.compare(composed(given, recipe="compare"))
 
 
 def test_a_sweep_is_compared_by_what_was_swept(composed, runs, capsys):
