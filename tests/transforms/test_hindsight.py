@@ -197,10 +197,14 @@ def test_labels_that_are_known_stay_on_demand():
     assert kept["has_expert"][0].all() and (kept["expert_action"][0] == 7).all()
     assert kept["has_expert"][1, :4].all() and (kept["expert_action"][1] == 1).all()
     gone = HindsightGoal(imitate=True)(steps.clone())
-    assert (gone["expert_action"] == 1).all() and gone["has_expert"][0].squeeze(-1).tolist() == [
-        1,
-        1,
-        0,
-        0,
-        0,
-    ]
+    assert (gone["expert_action"] == 1).all()
+    assert gone["has_expert"][0].squeeze(-1).tolist() == [True, True, False, False, False]
+    goals_alone = HindsightGoal()(steps.clone())
+    assert all(torch.equal(goals_alone[key], steps[key]) for key in ("expert_action", "has_expert"))
+
+
+def test_imitating_needs_actions():
+    steps = make_steps().exclude("action")
+    with pytest.raises(ConfigError, match=r"needs \['action'\]"):
+        HindsightGoal(imitate=True)(steps)
+    assert HindsightGoal()(steps)["has_goal"].any()

@@ -23,13 +23,14 @@ class HindsightGoal(Transform):
     ``GraspTD3BCLoss(hindsight=True)``.
 
     On a bare tensordict (*, T), time last, the call writes GOAL (*, T, 7) and HAS_GOAL (*, T, 1),
-    and both in "next". As the `transform` of a replay buffer it does so when trajectories are
-    extended, and drops the poses; sampled batches, which have none, it leaves as they are. In an
-    environment, which does not know how an episode ends, it changes nothing.
+    and both in "next"; labels only with `imitate`. As the `transform` of a replay buffer it does so
+    when trajectories are extended, and drops the poses; sampled batches, which have none, it leaves
+    as they are. In an environment, which does not know how an episode ends, it changes nothing.
 
     Args:
         keep: leave goals that are known already, such as the expert's, where has_goal is true, and
-            labels where has_expert is. By default they go: of unknown objects there are none.
+            with `imitate` labels where has_expert is. By default what is written anew takes their
+            place: of unknown objects there are none.
         imitate: also make the actions of successful episodes labels of imitation, EXPERT_ACTION
             (*, T, 6) and HAS_EXPERT (*, T, 1), but for steps that a disturbance moved (perturbed).
             Self-imitation after Oh et al. 2018, without their values; not in the paper.
@@ -70,7 +71,8 @@ class HindsightGoal(Transform):
             return False
 
     def _relabel(self, steps: TensorDictBase) -> TensorDictBase:
-        names = (keys.T_BASE_EE, ("next", keys.T_BASE_EE), ("next", "reward"), ("next", "done"))
+        names = [keys.T_BASE_EE, ("next", keys.T_BASE_EE), ("next", "reward"), ("next", "done")]
+        names += [keys.ACTION] * self._imitate
         missing = [name for name in names if steps.get(name, None) is None]
         if missing:
             raise ConfigError(f"HindsightGoal needs {missing} of each step: keep them with the trajectories.")
