@@ -89,19 +89,20 @@ class HindsightGoal(Transform):
     def _write(self, states: TensorDictBase, T_base_reached: Tensor, success: Tensor) -> None:
         """Set the goals of the `states` (*, T) where `success` (*, T) holds."""
         goal = pose_to_goal(invert_pose(states[keys.T_BASE_EE]) @ T_base_reached)
-        old, known = (states.get(key, None) for key in (keys.GOAL, keys.HAS_GOAL))
         has_goal = success[..., None]
         goal = torch.where(has_goal, goal, goal.new_tensor(NO_GOAL))
-        if self._keep and old is not None and known is not None:
-            goal, has_goal = torch.where(known, old, goal), known | has_goal
-        states.set(keys.GOAL, goal).set(keys.HAS_GOAL, has_goal)
+        self._set(states, (keys.GOAL, keys.HAS_GOAL), goal, has_goal)
 
     def _write_labels(self, steps: TensorDictBase, success: Tensor) -> None:
         """Make the actions of the `steps` (*, T) labels where `success` (*, T) holds."""
-        action, has_expert = steps[keys.ACTION], success[..., None]
+        has_expert = success[..., None]
         if (perturbed := steps.get(keys.PERTURBED, None)) is not None:
             has_expert = has_expert & ~perturbed
-        old, known = (steps.get(key, None) for key in (keys.EXPERT_ACTION, keys.HAS_EXPERT))
+        self._set(steps, (keys.EXPERT_ACTION, keys.HAS_EXPERT), steps[keys.ACTION].clone(), has_expert)
+
+    def _set(self, states: TensorDictBase, names: tuple[str, str], value: Tensor, present: Tensor) -> None:
+        """Set a value (*, T, n) and where it is present (*, T, 1); what was known stays with `keep`."""
+        old, known = (states.get(key, None) for key in names)
         if self._keep and old is not None and known is not None:
-            action, has_expert = torch.where(known, old, action), known | has_expert
-        steps.set(keys.EXPERT_ACTION, action.clone()).set(keys.HAS_EXPERT, has_expert)
+            value, present = torch.where(known, old, value), known | present
+        states.set(names[0], value).set(names[1], present)
