@@ -28,8 +28,8 @@ from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
 # What a learner needs of a step; the camera's pictures stay where they were made.
 KEPT = (
-    *(keys.POINTS, keys.IMAGE, keys.TABLE_PLANE, keys.T_BASE_EE, keys.TIME_LEFT, keys.ACTION),
-    *(keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
+    *(keys.POINTS, keys.IMAGE, keys.TABLE_PLANE, keys.WRIST_ANGLE, keys.T_BASE_EE, keys.TIME_LEFT),
+    *(keys.ACTION, keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
     *(keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
 )
 # Online episodes are numbered from here on: none repeats a demonstration.

@@ -18,6 +18,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | POINTS | *, N, C | network input, ee frame: xyz, then a flag that is 1 for gripper points |
 | NUM_POINTS | *, 1 int64 | how many rows of POINTS were observed rather than filled in |
 | TABLE_PLANE | *, 4 | the table in the ee frame: upward unit normal, then the hand's height (m) |
+| WRIST_ANGLE | *, 1 | angle of the arm's last joint (rad) |
 | IMAGE | *, C, S, S | network input of image policies: colours in [0, 1], depth in metres, mask 0 or 1 |
 | ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles; *, 7 in joint spaces |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
@@ -54,6 +55,7 @@ TIME_LEFT = "time_left"
 POINTS = "points"
 NUM_POINTS = "num_points"
 TABLE_PLANE = "table_plane"
+WRIST_ANGLE = "wrist_angle"
 IMAGE = "image"
 ACTION = "action"
 EXPERT_ACTION = "expert_action"

@@ -15,10 +15,12 @@ from torchgrasp.modules.heads import (
     Encoder,
     EncoderNetwork,
     GoalHead,
+    StateInputs,
     bound_tensor,
     build_encoder,
     check_keys,
     choose_out_keys,
+    check_inputs,
     head,
 )
 from torchgrasp.modules.layers import shrink_last_layer
@@ -41,12 +43,14 @@ class GraspActor(TensorDictModule):
             zeros say that there is none.
         table_input: also read the table's plane (*, 4) of `table_key`: it joins the feature, and each point's
             height above it is one more channel of a cloud. Not in the paper.
+        state_inputs: {key: size} of further observations (*, size) that join the feature as time left does,
+            such as ``{"wrist_angle": 1}`` (`WristAngle`). Not in the paper.
         goal_prediction: whether the actor predicts the goal.
         freeze_encoder: keep the encoder as it is (Sec. 6.3: fine-tuning with hindsight goals). A module
             is copied, so that freezing stays here.
         in_keys: the encoder's input and time left.
         goal_key: what `goal_input` adds to `in_keys`.
-        table_key: what `table_input` adds to `in_keys`, after that.
+        table_key: what `table_input` adds to `in_keys`, after all others.
         out_keys: the action, then the goal prediction where there is one.
 
     Example:
@@ -68,6 +72,7 @@ class GraspActor(TensorDictModule):
         hidden: int = 256,
         goal_input: bool = False,
         table_input: bool = False,
+        state_inputs: StateInputs | None = None,
         goal_prediction: bool = True,
         freeze_encoder: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT),
@@ -77,10 +82,11 @@ class GraspActor(TensorDictModule):
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
         written = choose_out_keys(out_keys, "the action", predicts_goal=goal_prediction)
+        further = check_inputs(state_inputs)
         built, size = build_encoder(encoder, in_channels, freeze=freeze_encoder, heights=table_input)
         network = _ActorNetwork(
             built,
-            size + 1 + goal_input * GOAL_SIZE + table_input * PLANE_SIZE,
+            size + 1 + goal_input * GOAL_SIZE + sum(further.values()) + table_input * PLANE_SIZE,
             bound_tensor(action_bound),
             hidden,
             predicts_goal=goal_prediction,
@@ -89,7 +95,7 @@ class GraspActor(TensorDictModule):
         )
         super().__init__(
             network,
-            in_keys=[*read, *[goal_key] * goal_input, *[table_key] * table_input],
+            in_keys=[*read, *[goal_key] * goal_input, *further, *[table_key] * table_input],
             out_keys=written,
         )
 

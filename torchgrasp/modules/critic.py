@@ -18,10 +18,12 @@ from torchgrasp.modules.heads import (
     Encoder,
     EncoderNetwork,
     GoalHead,
+    StateInputs,
     bound_tensor,
     build_encoder,
     check_keys,
     choose_out_keys,
+    check_inputs,
     get_channel_dim,
     head,
     join_channels,
@@ -48,12 +50,13 @@ class GraspCritic(TensorDictModule):
         hidden: width of the heads.
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does.
         table_input: also read the table's plane, as GraspActor does.
+        state_inputs: further observations, as GraspActor reads them.
         goal_prediction: whether the critic predicts the goal.
         freeze_encoder: keep the encoder as it is; under early fusion gradients still pass through it
             to the action. A module is copied, as for GraspActor.
         in_keys: the encoder's input, time left and the action.
         goal_key: what `goal_input` adds to `in_keys`, before the action.
-        table_key: what `table_input` adds, after that.
+        table_key: what `table_input` adds, after `state_inputs`.
         out_keys: the values, then the goal prediction where there is one.
 
     Example:
@@ -77,6 +80,7 @@ class GraspCritic(TensorDictModule):
         hidden: int = 256,
         goal_input: bool = False,
         table_input: bool = False,
+        state_inputs: StateInputs | None = None,
         goal_prediction: bool = True,
         freeze_encoder: bool = False,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT, keys.ACTION),
@@ -91,10 +95,11 @@ class GraspCritic(TensorDictModule):
         *state, action = check_keys("in_keys", in_keys, ("the encoder's input", "time left", "the action"))
         written = choose_out_keys(out_keys, "the values", predicts_goal=goal_prediction)
         bound = bound_tensor(action_bound)
-        early = fusion == "early"
+        early, further = fusion == "early", check_inputs(state_inputs)
         channels = in_channels + early * len(bound)
         built, size = build_encoder(encoder, channels, freeze=freeze_encoder, heights=table_input)
-        size += 1 + goal_input * GOAL_SIZE + table_input * PLANE_SIZE + (not early) * len(bound)
+        size += 1 + goal_input * GOAL_SIZE + sum(further.values()) + table_input * PLANE_SIZE
+        size += (not early) * len(bound)
         network = _CriticNetwork(
             built,
             size,
@@ -108,7 +113,7 @@ class GraspCritic(TensorDictModule):
         )
         super().__init__(
             network,
-            in_keys=[*state, *[goal_key] * goal_input, *[table_key] * table_input, action],
+            in_keys=[*state, *[goal_key] * goal_input, *further, *[table_key] * table_input, action],
             out_keys=written,
         )
 

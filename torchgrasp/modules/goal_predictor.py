@@ -15,8 +15,10 @@ from torchgrasp.modules.heads import (
     Encoder,
     EncoderNetwork,
     GoalHead,
+    StateInputs,
     build_encoder,
     check_keys,
+    check_inputs,
 )
 
 
@@ -32,9 +34,10 @@ class GoalPredictor(TensorDictModule):
         in_channels: C.
         hidden: width of the head.
         table_input: also read the table's plane, as GraspActor does.
+        state_inputs: further observations, as GraspActor reads them.
         in_keys: the encoder's input and time left.
         goal_key: what is written.
-        table_key: what `table_input` adds to `in_keys`.
+        table_key: what `table_input` adds to `in_keys`, after all others.
 
     Example:
         >>> from tensordict import TensorDict
@@ -53,14 +56,18 @@ class GoalPredictor(TensorDictModule):
         in_channels: int = 4,
         hidden: int = 256,
         table_input: bool = False,
+        state_inputs: StateInputs | None = None,
         in_keys: Sequence[NestedKey] = (keys.POINTS, keys.TIME_LEFT),
         goal_key: NestedKey = keys.GOAL,
         table_key: NestedKey = keys.TABLE_PLANE,
     ) -> None:
         read = check_keys("in_keys", in_keys, ("the encoder's input", "time left"))
+        further = check_inputs(state_inputs)
         built, size = build_encoder(encoder, in_channels, heights=table_input)
-        network = _GoalNetwork(built, size + 1 + table_input * PLANE_SIZE, hidden, reads_table=table_input)
-        super().__init__(network, in_keys=[*read, *[table_key] * table_input], out_keys=[goal_key])
+        size += 1 + sum(further.values()) + table_input * PLANE_SIZE
+        network = _GoalNetwork(built, size, hidden, reads_table=table_input)
+        read += [*further, *[table_key] * table_input]
+        super().__init__(network, in_keys=read, out_keys=[goal_key])
 
 
 class _GoalNetwork(EncoderNetwork):

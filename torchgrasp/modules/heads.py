@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 
 import torch
@@ -17,6 +17,9 @@ from torchgrasp.modules.layers import mlp, shrink_last_layer
 _HEIGHT_SCALE = 0.1
 # Numbers of a plane: unit normal and distance.
 PLANE_SIZE = 4
+
+# Further observations that join the feature, and the numbers in each.
+StateInputs = Mapping[NestedKey, int]
 
 # An encoder, or what makes one for a number of input channels (in YAML: `_partial_: true`).
 Encoder = nn.Module | Callable[[int], nn.Module]
@@ -124,6 +127,17 @@ def check_keys(name: str, given: Sequence[NestedKey], meaning: Sequence[str]) ->
     if len(given) != len(meaning):
         raise ConfigError(f"{name}={list(given)} must name {len(meaning)}: {', '.join(meaning)}.")
     return list(given)
+
+
+def check_inputs(state_inputs: StateInputs | None) -> dict[NestedKey, int]:
+    """The further observations that join the feature, none for None; ConfigError where a size is none."""
+    if not isinstance(state_inputs, Mapping | None):
+        raise ConfigError(f"state_inputs={state_inputs}: give {{key: size}}, such as {{wrist_angle: 1}}.")
+    inputs = dict(state_inputs or {})
+    for key, size in inputs.items():
+        if isinstance(size, bool) or not isinstance(size, int) or size < 1:
+            raise ConfigError(f"state_inputs: {key}={size}: give the size of that observation, 1 or more.")
+    return inputs
 
 
 def choose_out_keys(given: Sequence[NestedKey], first: str, *, predicts_goal: bool) -> list[NestedKey]:

@@ -15,3 +15,4 @@ from torchgrasp.transforms.mirror import RandomMirror as RandomMirror
 from torchgrasp.transforms.pose_error import CameraPoseError as CameraPoseError
 from torchgrasp.transforms.sample import SamplePoints as SamplePoints
 from torchgrasp.transforms.table import TablePlane as TablePlane
+from torchgrasp.transforms.wrist import WristAngle as WristAngle

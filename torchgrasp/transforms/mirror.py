@@ -25,6 +25,7 @@ class RandomMirror(Transform):
         action_keys: relative poses (*, 6), translation and intrinsic XYZ Euler angles.
         goal_keys: poses (*, 7), translation and quaternion xyzw.
         plane_keys: planes (*, 4), normal and distance.
+        turn_keys: angles (*, 1) about the hand's z.
         generator: of the draws; torch's own without one.
 
     Example:
@@ -41,11 +42,12 @@ class RandomMirror(Transform):
         action_keys: Sequence[NestedKey] = (keys.ACTION, keys.EXPERT_ACTION),
         goal_keys: Sequence[NestedKey] = (keys.GOAL, ("next", keys.GOAL)),
         plane_keys: Sequence[NestedKey] = (keys.TABLE_PLANE, ("next", keys.TABLE_PLANE)),
+        turn_keys: Sequence[NestedKey] = (keys.WRIST_ANGLE, ("next", keys.WRIST_ANGLE)),
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
         self._points, self._actions, self._goals = tuple(point_keys), tuple(action_keys), tuple(goal_keys)
-        self._planes = tuple(plane_keys)
+        self._planes, self._turns = tuple(plane_keys), tuple(turn_keys)
         self._generator = generator
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -63,6 +65,7 @@ class RandomMirror(Transform):
         position, turn = (sx, sy, one), (sy, sx, sx * sy)
         self._scale(tensordict, self._points, torch.stack(position, dim=-1)[..., None, :])
         self._scale(tensordict, self._planes, torch.stack(position, dim=-1))
+        self._scale(tensordict, self._turns, (sx * sy)[..., None])
         self._scale(tensordict, self._actions, torch.stack((*position, *turn), dim=-1))
         self._scale(tensordict, self._goals, torch.stack((*position, *turn, one), dim=-1))
         return tensordict
