@@ -137,8 +137,9 @@ def make_row(
         raise ConfigError(
             f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, choose "
             "transforms=rgb, rgbd or rgbdm with replay=images, and where table_plane is absent add "
-            "'+transforms.table={_target_: torchgrasp.transforms.TablePlane}', or do without by "
-            "model.table_input=false 'replay.codec.state_keys=[time_left]'."
+            "'+transforms.table={_target_: torchgrasp.transforms.TablePlane}' (where wrist_angle is, "
+            "transforms.wrist and WristAngle), or do without by model.table_input=false "
+            "model.state_inputs=null 'replay.codec.state_keys=[time_left]'."
         )
     row = codec.example_row(shapes)
     if augment is not None:

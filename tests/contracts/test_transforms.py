@@ -28,6 +28,7 @@ from torchgrasp.transforms import (
     RandomMirror,
     SamplePoints,
     TablePlane,
+    WristAngle,
 )
 
 HORIZON = 3
@@ -61,6 +62,7 @@ CASES = [
     Case(JitterPoints, {}, (DepthToPoints,)),
     Case(DropPoints, {"dropped": 0.5}, (DepthToPoints,)),
     Case(TablePlane, {"height": 0.1}, ()),
+    Case(WristAngle, {}, ()),
     Case(CameraImage, {"channels": "dm", "size": 8}, ()),
 ]
 

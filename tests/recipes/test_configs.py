@@ -66,6 +66,7 @@ def test_every_learner_builds(composed, experiment, model, loss):
     chosen = ["transforms=rgbd", "replay=images", "replay.augment=null"] if model == "resnet18" else []
     cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25", *chosen)
     shapes = {"points": (262, 4), "image": (4, 112, 112), "time_left": (1,), "table_plane": (4,)}
+    shapes |= {"wrist_angle": (1,)}
     learner = Learner(cfg, shapes)
     assert learner.loss.bc_weight == {"bc": 1.0, "td3_bc": 0.2, "td3_bc_laptop": 0.98}[loss]
     assert learner.targets.period == cfg.online.period
@@ -85,6 +86,7 @@ def test_transforms_are_tuned_dropped_and_replaced_by_name(composed):
         "AggregatePoints",
         "SamplePoints",
         "TablePlane",
+        "WristAngle",
     ]
     assert env.transform[1].alpha == 0.9
     swapped = composed(

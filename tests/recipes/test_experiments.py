@@ -93,6 +93,7 @@ def test_a_cell_composes_with_every_scale_and_builds(compose_cell, cell, scale):
         "image": (channels, 32, 32),
         "time_left": (1,),
         "table_plane": (4,),
+        "wrist_angle": (1,),
     }
     learner = (Imitator if cfg.recipe == "bc" else Learner)(cfg, shapes)
     assert ("critic" in learner.networks) is (cfg.recipe != "bc")

@@ -148,13 +148,13 @@ def test_a_switch_that_is_none_is_refused(composed):
 def test_what_does_not_go_together_is_refused(composed):
     cfg = composed("experiment=smoke", "model=resnet18", "model.width=0.25")
     with pytest.raises(ConfigError, match=r"read \['image'\].*replay=images"):
-        Learner(cfg, {"points": (38, 4), "time_left": (1,), "table_plane": (4,)})
+        Learner(cfg, {"points": (38, 4), "time_left": (1,), "table_plane": (4,), "wrist_angle": (1,)})
     cfg = composed("experiment=smoke", "model.width=0.25", "~transforms.points")
     with pytest.raises(ConfigError, match=r"write no \['points'\]"):
-        Learner(cfg, {"time_left": (1,), "table_plane": (4,)})
+        Learner(cfg, {"time_left": (1,), "table_plane": (4,), "wrist_angle": (1,)})
     images = ["model=resnet18", "model.width=0.25", "transforms=rgbd", "replay=images"]
     with pytest.raises(ConfigError, match=r"RandomMirror.*replay\.augment"):
         Learner(
             composed("experiment=laptop", *images),
-            {"image": (4, 32, 32), "time_left": (1,), "table_plane": (4,)},
+            {"image": (4, 32, 32), "time_left": (1,), "table_plane": (4,), "wrist_angle": (1,)},
         )

@@ -15,7 +15,7 @@ REST = torch.tensor([[0.0, 0, 0, 0, 0, 0, 1]])
 def test_the_norm_reaches_every_pose_loss(composed, loss, overrides, expected):
     learner = Learner(
         composed("experiment=smoke", f"loss={loss}", *overrides),
-        {"points": (38, 4), "time_left": (1,), "table_plane": (4,)},
+        {"points": (38, 4), "time_left": (1,), "table_plane": (4,), "wrist_angle": (1,)},
     )
     for each in (learner.loss, learner.imitation):
         assert each.distance(ACTION, torch.zeros(1, 6)).item() == pytest.approx(expected)

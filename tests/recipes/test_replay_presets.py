@@ -28,8 +28,8 @@ def test_a_preset_makes_a_buffer_of_what_it_stores(composed, preset, shapes):
     chosen += ["+transforms.image.channels=rgbd"] if preset == "images" else []
     cfg = composed(*chosen)
     codec, priority = instantiate(cfg.replay.codec), instantiate(cfg.replay.priority)
-    assert codec.observation_keys == (*shapes, "time_left", "table_plane")
-    row = codec.example_row({**shapes, "time_left": (1,), "table_plane": (4,)})
+    assert codec.observation_keys == (*shapes, "time_left", "table_plane", "wrist_angle")
+    row = codec.example_row({**shapes, "time_left": (1,), "table_plane": (4,), "wrist_angle": (1,)})
     options = {"batch_size": cfg.replay.batch_size, "codec": codec, "priority": priority, "row": row}
     buffer = MixtureReplayBuffer({"online": 10}, {"online": 1.0}, **options)
     buffer.extend_rows(

@@ -18,9 +18,9 @@ from torchgrasp.modules.heads import (
     StateInputs,
     bound_tensor,
     build_encoder,
+    check_inputs,
     check_keys,
     choose_out_keys,
-    check_inputs,
     head,
 )
 from torchgrasp.modules.layers import shrink_last_layer

@@ -17,8 +17,8 @@ from torchgrasp.modules.heads import (
     GoalHead,
     StateInputs,
     build_encoder,
-    check_keys,
     check_inputs,
+    check_keys,
 )
 
 

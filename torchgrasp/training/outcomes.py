@@ -5,16 +5,20 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 
 from torchgrasp import keys
+from torchgrasp.geometry import ACTION_SIZE, action_to_pose
 from torchgrasp.planning import NO_PLANNER, PlanStatus
 
 _EMPTY = 1e-3  # metres between pads that hold nothing
+# The arm was stopped where this many steps ended that far, in metres, from where they were to end.
+_STOPPED_STEPS, _STOPPED_SHORT = 3, 0.02
 
 
 def failure_cause(steps: TensorDictBase, gap: float) -> str | None:
     """The cause in words, None for an episode that succeeded.
 
     Args:
-        steps: (T,) the episode, with PLAN_STATUS where a planner acted; its last word counts.
+        steps: (T,) the episode, all keys of the environment, with PLAN_STATUS where a planner acted; its last
+            word counts.
         gap: metres between the finger pads after the attempt to lift.
     """
     if steps["next", "reward"].sum() > 0:
@@ -26,4 +30,17 @@ def failure_cause(steps: TensorDictBase, gap: float) -> str | None:
     height = float(steps["next", keys.T_BASE_OBJECT][-1, 2, 3])
     if height < 0.0:
         return "pushed off the table"
-    return "the fingers closed on nothing" if gap < _EMPTY else "slipped out of the fingers"
+    if gap >= _EMPTY:
+        return "slipped out of the fingers"
+    if _count_stopped(steps) >= _STOPPED_STEPS:
+        return "the arm could not follow, at a joint's stop"
+    return "the fingers closed on nothing"
+
+
+def _count_stopped(steps: TensorDictBase) -> int:
+    """Steps (T,) that did not end where a relative hand pose sent them; none in other action spaces."""
+    if steps[keys.ACTION].shape[-1] != ACTION_SIZE:
+        return 0
+    sent = steps[keys.T_BASE_EE] @ action_to_pose(steps[keys.ACTION])
+    missed = (sent[:-1, :3, 3] - steps[keys.T_BASE_EE][1:, :3, 3]).norm(dim=-1)
+    return int((missed > _STOPPED_SHORT).sum())
