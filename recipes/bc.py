@@ -15,6 +15,7 @@ import common
 import hydra
 import settings
 import stages
+from behaviour import DISTURBANCE, check_behaviour
 from imitator import Imitator
 from omegaconf import DictConfig, ListConfig
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
@@ -48,10 +49,13 @@ def check_rollouts(cfg: DictConfig) -> None:
             f"online.rollouts={given}: name those who act in turn, of [{', '.join(ROLLOUTS)}], or give "
             "offline.updates=auto for demonstrations alone."
         )
-    kind = _acted_kind(cfg)
-    if "expert" in given and not cfg.offline.updates and kind in settings.DISTURBANCE:
-        name, reader = settings.DISTURBANCE[kind], f"online.rollouts={given}"
-        settings.check_behaviour(cfg, name, reader, "or leave expert out of the rollouts")
+    if cfg.offline.updates:
+        return
+    kind, reader = _acted_kind(cfg), f"online.rollouts={given}"
+    if "expert" in given and kind in DISTURBANCE:
+        check_behaviour(cfg, DISTURBANCE[kind], reader, "or leave expert out of the rollouts")
+    if "learner" in given:
+        check_behaviour(cfg, "expert_start", reader, "or leave learner out of the rollouts")
 
 
 def _acted_kind(cfg: DictConfig) -> str:

@@ -16,6 +16,7 @@ import common
 import hydra
 import policies
 import settings
+from behaviour import DISTURBANCE
 from hydra.utils import instantiate
 from networks import make_row
 from omegaconf import DictConfig
@@ -109,8 +110,8 @@ def make_collector(cfg: DictConfig) -> TensorDictSequential:
 def make_demonstrator(cfg: DictConfig, kind: str) -> TensorDictSequential:
     """The expert as it acts in demonstrations of a kind: disturbed, unless that is `expert`."""
     modules: list = [common.make_expert(cfg, "train")]
-    if kind in settings.DISTURBANCE:
-        modules.append(instantiate(cfg.collector[settings.DISTURBANCE[kind]]))
+    if kind in DISTURBANCE:
+        modules.append(instantiate(cfg.collector[DISTURBANCE[kind]]))
     return TensorDictSequential(*modules)
 
 

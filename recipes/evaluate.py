@@ -39,11 +39,6 @@ def evaluate(cfg: DictConfig) -> dict:
     run_dir = settings.open_run(cfg, "evaluate")
     if cfg.video.episodes:
         common.record_videos(cfg, policy, run_dir / "videos")
-    reports.print_comparison(cfg, {name: table})
-    reports.print_failures(table)
-    reports.print_learner_steps(table)
-    reports.print_grasp_prediction(table)
-    print(f"Written to {run_dir}: summary.json, report.html{', videos/' if cfg.video.episodes else ''}")
     summary = {
         **table,
         "policy": name,
@@ -56,6 +51,11 @@ def evaluate(cfg: DictConfig) -> dict:
     summary = write_summary(run_dir, summary)
     pictures = {"Predicted grasps": predicted.pictures} if predictors else {}
     reports.write_page(cfg, run_dir, summary, {**pictures, "Failed episodes": failed.pictures})
+    reports.print_comparison(cfg, {name: table})
+    reports.print_failures(table)
+    reports.print_learner_steps(table)
+    reports.print_grasp_prediction(table)
+    print(f"Written to {run_dir}: summary.json, report.html{', videos/' if cfg.video.episodes else ''}")
     return summary
 
 

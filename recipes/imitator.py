@@ -21,6 +21,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.data import MixtureReplayBuffer
 from torchgrasp.errors import CheckpointError
+from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, functional
 from torchgrasp.training import (
     Episode,
@@ -83,6 +84,10 @@ class Imitator:
 
     def _make_losses(self) -> None:
         distance, goal_distance = self._distances()
+        for measure, size in ((distance, ACTION_SIZE), (goal_distance, GOAL_SIZE)):
+            measure(
+                torch.ones(1, size), torch.ones(1, size)
+            )  # refuses a wrong norm before anything is collected
         self.imitation = PoseBCLoss(
             self.actor,
             distance=distance,

@@ -88,7 +88,9 @@ def _give(
             network.load_state_dict(states[name])
     except (KeyError, RuntimeError) as error:
         reason = str(error).splitlines()[-1].strip()
-        raise CheckpointError(f"{path} holds weights of other networks: {reason}") from error
+        raise CheckpointError(
+            f"{path} holds weights of other networks ({reason}): choose the model that it was trained with."
+        ) from error
 
 
 def check_frozen(model: DictConfig, untrained: Iterable[str]) -> None:

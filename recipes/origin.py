@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import settings
+from behaviour import DISTURBANCE
 from omegaconf import DictConfig, OmegaConf
 from sources import Source
 from tensordict import TensorDictBase
@@ -35,8 +36,8 @@ def describe_origin(cfg: DictConfig) -> dict[str, Any]:
         "action_space": cfg.env.action_space,
         "shard_rounds": SHARD_ROUNDS,
     }
-    if demos.kind in settings.DISTURBANCE:
-        origin["disturb"] = plain["collector"][settings.DISTURBANCE[demos.kind]]
+    if demos.kind in DISTURBANCE:
+        origin["disturb"] = plain["collector"][DISTURBANCE[demos.kind]]
     if demos.kind == "learner":
         policy = None if demos.policy is None else settings.weights_file(Path(str(demos.policy)))
         origin["policy"] = None if policy is None else describe_file(policy)

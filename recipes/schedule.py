@@ -6,7 +6,9 @@ from typing import Any
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from torchgrasp.errors import ConfigError, check_whole
+from torchgrasp.errors import ConfigError, check_range, check_whole
+
+_RATES = ("pretrain.learning_rate", "online.learning_rate", "online.decay")
 
 
 def count_rounds(cfg: DictConfig) -> int:
@@ -23,7 +25,7 @@ def count_offline_updates(cfg: DictConfig) -> int:
 
 
 def check_schedule(cfg: DictConfig) -> None:
-    """Refuse lengths and milestones that no run can have; a recipe without them passes."""
+    """Refuse lengths, rates and milestones that no run can have; a recipe without them passes."""
     updates = OmegaConf.select(cfg, "offline.updates", default=0)
     if updates != "auto":
         check_whole("offline.updates", updates, 0)
@@ -31,6 +33,8 @@ def check_schedule(cfg: DictConfig) -> None:
         raise ConfigError(
             "offline.updates=auto makes as many as total_env_steps would, which is 0: give their number."
         )
+    for name in _RATES:
+        check_range(name, OmegaConf.select(cfg, name, default=0.0), 0.0, float("inf"))
     if "online" in cfg:
         check_milestones("online.milestones", cfg.online.milestones)
 

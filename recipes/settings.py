@@ -8,6 +8,7 @@ from typing import Any
 import sweeps
 import torch
 import yaml
+from behaviour import check_behaviour, check_demonstrators
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
@@ -55,8 +56,6 @@ _SWITCHES = (
         for name in ("goal_input", "goal_prediction", "freeze_encoder")
     ),
 )
-# What disturbs the expert in demonstrations of a kind: entries of conf/collector.
-DISTURBANCE = {"perturbed": "disturb", "failed": "disturb_to_fail"}
 
 
 def check_values(cfg: DictConfig) -> None:
@@ -81,10 +80,9 @@ def check_values(cfg: DictConfig) -> None:
     if "demonstrations" in cfg:
         for each in list_demonstrations(cfg).values():
             _check_demonstrations(each.demonstrations)
-            _check_collector(each)
-        begins = cfg.init is not None and not has_checkpoint(cfg.resume)
-        if begins and not weights_file(Path(str(cfg.init))).is_file():
-            raise ConfigError(f"init={cfg.init}: give a run directory or a weights file.")
+            check_demonstrators(each)
+        if cfg.init is not None and not has_checkpoint(cfg.resume):
+            _check_weights("init", str(cfg.init))
 
 
 def check_device(name: str) -> None:
@@ -109,27 +107,21 @@ def _check_demonstrations(demonstrations: DictConfig) -> None:
             f"demonstrations.kind={kind} with demonstrations.policy={policy}: the kind learner needs a "
             "policy, a run directory or weights file; no other kind takes one."
         )
-    if policy is not None and not weights_file(Path(str(policy))).is_file():
-        raise ConfigError(f"demonstrations.policy={policy}: give a run directory or a weights file.")
+    if policy is not None:
+        _check_weights("demonstrations.policy", str(policy))
 
 
-def _check_collector(cfg: DictConfig) -> None:
-    """Refuse what the demonstrations need and cannot be called."""
-    kind = cfg.demonstrations.kind
-    needed = {DISTURBANCE[kind]: "or give demonstrations.kind=expert"} if kind in DISTURBANCE else {}
-    if kind == "learner" and cfg.demonstrations.expert_start:
-        needed["expert_start"] = "or leave demonstrations.expert_start out"
-    for name, way in needed.items():
-        check_behaviour(cfg, name, f"demonstrations.kind={kind}", way)
-
-
-def check_behaviour(cfg: DictConfig, name: str, reader: str, way: str) -> None:
-    """Refuse a `collector.<name>` that cannot be called, though the option `reader` needs it."""
-    value = OmegaConf.select(cfg, f"collector.{name}")
-    if not isinstance(value, DictConfig) or "_target_" not in value:
+def _check_weights(option: str, name: str, *others: str) -> None:
+    """Refuse what names no weights; `others` are names that the option takes besides."""
+    path = Path(name)
+    if path.is_dir() and not weights_file(path).is_file():
         raise ConfigError(
-            f"collector.{name}={value} with {reader}: configure it (probability=0 switches it off), {way}."
+            f"{option}={name!r} holds no weights.safetensors: give the run directory of a training that has "
+            "saved its first checkpoint."
         )
+    if not weights_file(path).is_file():
+        choices = ", ".join((*others, "pretrained", "a run directory"))
+        raise ConfigError(f"{option}={name!r} is not there: give {choices} or a weights file.")
 
 
 def resumed(cfg: DictConfig, recipe: str) -> DictConfig:
@@ -140,6 +132,7 @@ def resumed(cfg: DictConfig, recipe: str) -> DictConfig:
         stored = _read(Path(cfg.resume) / _UNRESOLVED, f"resume={cfg.resume}", recipe)
         cfg = _merge(stored, _given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
     check_values(cfg)
+    check_behaviour(cfg, "noise", f"recipes/{recipe}.py")
     return cfg
 
 
@@ -177,10 +170,11 @@ def for_evaluation(cfg: DictConfig) -> DictConfig:
     if path is not None:
         brought = brought_along(path, list(cfg.trust))
         kept = {name: brought.get(name) for name in ("model", "camera", "overhead", "transforms")}
-        given = _given_values(f"{option}={path}, which brings {', '.join(kept)} along,", fixed=tuple(kept))
+        fixed = (*kept, "num_points")  # which its transforms name
+        given = _given_values(f"{option}={path}, which brings {', '.join(fixed)} along,", fixed=fixed)
         task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
         plain = {key: value for key, value in cfg.items() if key not in kept}
-        seen = {"num_points": brought.get("num_points", cfg.num_points)}  # what its transforms say
+        seen = {"num_points": brought.get("num_points", cfg.num_points)}
         cfg = _merge(plain, {**kept, "env": task}, given, seen)
     # objects.split=... and objects.num_objects=... say which objects, as everywhere.
     chosen = {
@@ -205,11 +199,7 @@ def _learned(cfg: DictConfig) -> tuple[str, Path | None]:
         option, name, named = "policy", policy, POLICIES
     if name in named:
         return option, None
-    if not weights_file(Path(name)).exists():
-        raise ConfigError(
-            f"{option}={name!r} is not there: give {', '.join(named)}, pretrained, a run directory or a "
-            "weights file."
-        )
+    _check_weights(option, name, *named)
     return option, Path(name)
 
 

@@ -157,9 +157,9 @@ def conclude(
         networks = predictions.find_predictors(learner.networks)
         summary["grasp_prediction"] = predictions.measure(cfg, pool, networks, predicted)
         pictures = {"Predicted grasps": predicted.pictures, **pictures}
+    summary = write_summary(run_dir, summary)
+    reports.write_page(cfg, run_dir, summary, pictures)
     reports.print_comparison(cfg, tables)
     reports.print_grasp_prediction(summary)
     print(f"{learner.wall_seconds / 60:.1f} minutes. In {run_dir}: report.html and what it was made of")
-    summary = write_summary(run_dir, summary)
-    reports.write_page(cfg, run_dir, summary, pictures)
     return summary

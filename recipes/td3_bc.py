@@ -15,10 +15,11 @@ import common
 import hydra
 import settings
 import stages
+from behaviour import check_behaviour
 from learner import Learner
 from omegaconf import DictConfig
 from sources import without_expert
-from tensordict.nn import TensorDictSequential
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
 from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
 
@@ -26,6 +27,8 @@ from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
     cfg = settings.resumed(cfg, "td3_bc")
+    if not cfg.offline.updates:
+        check_behaviour(cfg, "expert_start", "the learner's episodes")
     learner = Learner(cfg, common.observed_shapes(cfg))
     run_dir = settings.open_run(cfg, "td3_bc")
     with stages.make_pool(cfg) as pool:
@@ -36,6 +39,15 @@ def train(cfg: DictConfig) -> dict:
         return stages.conclude(cfg, learner, logger, pool, run_dir)
 
 
+def make_actors(cfg: DictConfig, learner: Learner) -> list[TensorDictModuleBase]:
+    """The learner, whose states the expert labels; offline nobody."""
+    if cfg.offline.updates:
+        return []
+    labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
+    modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
+    return [TensorDictSequential(*modules)]
+
+
 def reinforce(
     cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
 ) -> None:
@@ -43,9 +55,7 @@ def reinforce(
 
     Offline there are no rollouts: the same updates on demonstrations alone.
     """
-    labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
-    modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
-    rounds = common.rounds(cfg, pool, TensorDictSequential(*modules), first=learner.iterations)
+    rounds = common.rounds(cfg, pool, *make_actors(cfg, learner), first=learner.iterations)
     learner.begin_reinforcement()
     iterations = stages.Iterations(cfg, learner, logger, run_dir, description="reinforcement")
     for _ in iterations:

@@ -1,7 +1,12 @@
 """What a user may get wrong: one clear message, exit code 1, no traceback."""
 
+import bc
+import common
+import hindsight
 import pytest
 import settings
+import td3_bc
+from learner import Learner
 
 from torchgrasp.errors import ConfigError
 
@@ -59,6 +64,8 @@ def test_impossible_values(run_recipe, overrides, told):
         (["demonstrations.kind=failed", "collector.disturb_to_fail=3"], "collector.disturb_to_fail=3"),
         (["online.milestones=[0.7,0.4]"], r"online.milestones=\[0.7, 0.4\]: give shares of the run"),
         (["online.milestones=0.4"], "online.milestones=0.4: give shares of the run"),
+        (["online.learning_rate=-1"], "online.learning_rate=-1 is out of range"),
+        (["pretrain.learning_rate=fast"], "pretrain.learning_rate='fast' is no number"),
     ],
 )
 def test_values_of_another_type(composed, overrides, told):
@@ -68,6 +75,39 @@ def test_values_of_another_type(composed, overrides, told):
 
 def test_what_is_not_needed_may_be_left_out(composed):
     settings.check_values(composed("demonstrations.kind=expert", "collector.disturb=null"))
+
+
+def test_exploration_that_cannot_be_called_is_refused_before_a_run_begins(composed, tmp_path):
+    for recipe in (td3_bc, bc):
+        for name, told in (("noise", "with the same end switches it off"), ("expert_start", "probability=0")):
+            cfg = composed("experiment=smoke", f"collector.{name}=null", recipe=recipe.__name__)
+            with pytest.raises(ConfigError, match=f"collector.{name}=None with .*{told}"):
+                recipe.train(cfg)
+    with pytest.raises(ConfigError, match=r"collector\.noise=None with recipes/hindsight\.py"):
+        hindsight.train(composed("experiment=smoke", "collector.noise=null", recipe="hindsight"))
+    assert not list(tmp_path.iterdir())
+    alone = ["online.rollouts=[expert]", "collector.expert_start=null"]
+    bc.check_rollouts(composed("experiment=smoke", *alone, recipe="bc"))
+
+
+def test_offline_nobody_acts_and_nobody_labels(composed):
+    offline = composed("experiment=smoke", "offline.updates=3", "collector.expert_start=null")
+    learner = Learner(offline, common.observed_shapes(offline))
+    assert td3_bc.make_actors(offline, learner) == []
+
+
+def test_a_wrong_norm_is_refused_before_anything_is_collected(composed, tmp_path):
+    with pytest.raises(ConfigError, match="norm='l3' is unknown"):
+        td3_bc.train(composed("experiment=smoke", "loss.distance.norm=l3"))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("option", ["init", "demonstrations.policy"])
+def test_a_directory_without_weights_is_told_from_none(composed, tmp_path, option):
+    learner = ["demonstrations.kind=learner"] * (option != "init")
+    for name, told in ((tmp_path, "holds no weights.safetensors"), (tmp_path / "nobody", "is not there")):
+        with pytest.raises(ConfigError, match=told):
+            settings.check_values(composed(f"{option}={name}", *learner))
 
 
 def test_misspelt_override_gets_hydras_own_message(run_recipe):

@@ -82,6 +82,11 @@ def test_what_cannot_be_is_refused_by_name(composed, overrides, told):
     assert isinstance(cause, ConfigError) and told in str(cause)
 
 
+def test_points_are_the_policys_own(run_recipe, learner):
+    code, _, err = run_recipe("evaluate", f"policy={learner}", "episodes=1", "num_points=12", *SMALL)
+    assert code == 1 and "num_points along, does not go with num_points=12" in err
+
+
 def summary_of(tmp_path) -> dict:
     (file,) = tmp_path.glob("evaluate/*/summary.json")
     return json.loads(file.read_text())

@@ -1,4 +1,6 @@
 import pickle
+import subprocess
+import sys
 
 import pytest
 
@@ -26,3 +28,27 @@ def test_it_can_be_sent_to_another_process():
     guard = pickle.loads(pickle.dumps(one_line_errors()))
     with pytest.raises(SystemExit), guard:
         raise ConfigError("no")
+
+
+@pytest.mark.parametrize("unbuffered", [[], ["-u"]], ids=["buffered", "unbuffered"])
+def test_output_that_nobody_reads_ends_without_a_word(unbuffered):
+    script = """
+import sys
+from torchgrasp.training import one_line_errors
+
+@one_line_errors()
+def main():
+    sys.stdin.readline()
+    for _ in range(3):
+        print("x" * 9000)
+
+main()
+"""
+    command = [sys.executable, *unbuffered, "-c", script]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, text=True, stdin=pipe, stdout=pipe, stderr=pipe) as process:
+        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        process.stdin.write("go on\n")
+        process.stdin.close()
+        assert process.stderr.read() == ""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import select
 import sys
-from contextlib import ContextDecorator
+from contextlib import ContextDecorator, suppress
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
@@ -18,15 +20,37 @@ class _OneLineErrors(ContextDecorator):
         pass
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        closed = _drop_unread()
         cause = find_cause(error) if isinstance(error, Exception) else None
-        if cause is None or (HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN):
+        if HydraConfig.initialized() and HydraConfig.get().mode == RunMode.MULTIRUN:
+            return
+        if closed and isinstance(error, BrokenPipeError):
+            raise SystemExit(1) from None
+        if cause is None:
             return
         print("error:", " ".join(str(cause).split()), file=sys.stderr)
         raise SystemExit(1) from None
 
 
+def _drop_unread() -> bool:
+    """Whether nobody reads standard output any longer, as behind `| head`; what is left goes nowhere then."""
+    with suppress(BrokenPipeError):
+        sys.stdout.flush()
+    try:
+        poll = select.poll()
+        poll.register(sys.stdout.fileno(), select.POLLOUT)
+    except (AttributeError, OSError, ValueError):  # no such call on this system, or no file
+        return False
+    closed = any(events & select.POLLERR for _, events in poll.poll(0))
+    if closed:  # else the interpreter would complain of it when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return closed
+
+
 def one_line_errors() -> ContextDecorator:
     """Print a TorchgraspError, or one that caused another error, as `error: ...` and exit with code 1.
+
+    Output that nobody reads any longer, as behind `| head`, ends without a word.
 
     As a decorator it stands below Hydra's, which would print a traceback itself:
 
