@@ -85,9 +85,8 @@ class Imitator:
     def _make_losses(self) -> None:
         distance, goal_distance = self._distances()
         for measure, size in ((distance, ACTION_SIZE), (goal_distance, GOAL_SIZE)):
-            measure(
-                torch.ones(1, size), torch.ones(1, size)
-            )  # refuses a wrong norm before anything is collected
+            # Refuses a wrong norm before anything is collected.
+            measure(torch.ones(1, size), torch.ones(1, size))
         self.imitation = PoseBCLoss(
             self.actor,
             distance=distance,
