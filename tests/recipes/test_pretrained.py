@@ -29,6 +29,7 @@ def test_it_can_be_trained_on(run_recipe):
         "model=pointnet",
         "model.width=1",
         "model.table_input=true",
+        "model.state_inputs={wrist_angle: 1}",
         "pretrain.steps=0",
     ]
     code, _, err = run_recipe("td3_bc", *chosen, "init=pretrained", "evaluation.baselines=[]")
