@@ -28,4 +28,4 @@ def test_a_hand_that_stands_closes_on_nothing():
 
 def test_an_arm_that_is_sent_beyond_its_reach_is_told_from_one_that_misses():
     """Backwards from the object, 6 cm a step: 120 cm are more than its reach."""
-    assert run_always(0.0, 0.0, -0.06, 0.0, 0.0, 0.0) == 2 * ["the arm could not follow, at a joint's stop"]
+    assert run_always(0.0, 0.0, -0.06, 0.0, 0.0, 0.0) == 2 * ["the arm could not follow"]

@@ -33,7 +33,7 @@ def failure_cause(steps: TensorDictBase, gap: float) -> str | None:
     if gap >= _EMPTY:
         return "slipped out of the fingers"
     if _count_stopped(steps) >= _STOPPED_STEPS:
-        return "the arm could not follow, at a joint's stop"
+        return "the arm could not follow"
     return "the fingers closed on nothing"
 
 
