@@ -86,12 +86,14 @@ def observed_shapes(cfg: DictConfig) -> dict[Any, tuple[int, ...]]:
 
 
 def make_pool(cfg: DictConfig, *, keep: Iterable = KEPT) -> EpisodePool:
-    """Who runs episodes of "train" and "test" and hands the keys to `keep` over, as configured."""
+    """Who runs episodes of "train" and "test", as configured; it hands over `keep` and the states stored."""
     resolved: DictConfig = deepcopy(cfg)
     OmegaConf.resolve(resolved)
     envs = {split: functools.partial(make_env, resolved, split) for split in ("train", "test")}
     workers = cfg.collector.num_workers
     make: Callable[..., EpisodePool] = instantiate(resolved.collector.pool, _partial_=True)
+    stored = OmegaConf.select(cfg, "replay.codec.state_keys") or ()
+    keep = dict.fromkeys((*keep, *stored))
     return (make if workers else SerialPool)(envs, num_workers=workers, keep=keep)
 
 

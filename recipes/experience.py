@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hydra.utils import instantiate
-from networks import make_codec, make_row
+from networks import check_state_inputs, make_codec, make_row
 from omegaconf import DictConfig
 from origin import check_rows
 from sources import Source, count_steps, list_demonstrations, share_batch
@@ -44,6 +44,7 @@ class Experience:
         self.codec = make_codec(cfg, networks)
         self._augment = instantiate(cfg.replay.augment)
         self.row = make_row(self.codec, self._augment, shapes)
+        check_state_inputs(cfg.model, shapes)
         self.priority: Priority | None = instantiate(cfg.replay.priority)
         # Offline nothing is added, and a source has room for at least one row.
         self._own_rows = 1 if cfg.offline.updates else int(cfg.replay.online_capacity)

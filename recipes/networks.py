@@ -122,9 +122,20 @@ def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) ->
         raise ConfigError(
             f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
             "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "
-            "replay=images and transforms=rgbd."
+            "replay=images and transforms=rgbd; replay.codec.state_keys must name model.state_inputs."
         )
     return codec
+
+
+def check_state_inputs(model: DictConfig, shapes: Mapping[Any, tuple[int, ...]]) -> None:
+    """Refuse further observations of another size than the environment's, whose shapes are given."""
+    for network in ("actor", "critic", "goal_network"):
+        for key, size in (OmegaConf.select(model, f"{network}.state_inputs") or {}).items():
+            if key in shapes and shapes[key] != (size,):
+                raise ConfigError(
+                    f"model.{network}.state_inputs: {key}={size}, but {key} has the shape {shapes[key]}: "
+                    "give the size of its only dimension."
+                )
 
 
 def make_row(

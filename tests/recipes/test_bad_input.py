@@ -41,6 +41,8 @@ def test_impossible_demonstrations(run_recipe, overrides, told):
         (["env.target_motion=jumping"], "jumping"),
         (["replay.online_fraction=1.5"], "1.5"),
         (["loss.bc_weight=-1"], "bc_weight"),
+        (["model.state_inputs={wrist_angle: 2}"], "wrist_angle has the shape (1,)"),
+        (["model.state_inputs={joints: 9}"], "replay.codec.state_keys"),
     ],
 )
 def test_impossible_values(run_recipe, overrides, told):

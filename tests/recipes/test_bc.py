@@ -92,3 +92,14 @@ def test_what_cannot_be_is_refused(composed):
     with pytest.raises(ConfigError, match="which is 0: give their number"):
         bc.train(cfg)
     assert OmegaConf.select(cfg, "recipe") == "bc"
+
+
+def test_policies_read_further_observations_in_training_and_evaluation(composed, tmp_path):
+    further = ["model.state_inputs={joints: 9}", "replay.codec.state_keys=[time_left,joints]"]
+    cell = ["experiment=[smoke,table1/dagger]", "total_env_steps=12", *SHORT, *further]
+    assert bc.train(composed(*cell, recipe="bc"))["gradient_steps"] == 6 + 3
+    run_dir = find_run(tmp_path)
+    assert stored_rows(run_dir, "online")["joints"].any()
+    options = ["episodes=2", "evaluation.num_objects=4", "evaluation.num_envs=2", "objects.num_grasps=100"]
+    again = evaluate(composed(f"policy={run_dir}", *options, "collector.num_workers=0", recipe="evaluate"))
+    assert again["episodes"] == 2
