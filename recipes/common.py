@@ -28,8 +28,8 @@ from torchgrasp.training.video import EndingRecorder, EpisodeFilm, write_video
 
 # What a learner needs of a step; the camera's pictures stay where they were made.
 KEPT = (
-    *(keys.POINTS, keys.IMAGE, keys.TABLE_PLANE, keys.WRIST_ANGLE, keys.T_BASE_EE, keys.TIME_LEFT),
-    *(keys.ACTION, keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
+    *(keys.POINTS, keys.IMAGE, keys.TABLE_PLANE, keys.T_BASE_EE, keys.TIME_LEFT, keys.ACTION),
+    *(keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
     *(keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
 )
 # Online episodes are numbered from here on: none repeats a demonstration.
@@ -92,9 +92,8 @@ def make_pool(cfg: DictConfig, *, keep: Iterable = KEPT) -> EpisodePool:
     envs = {split: functools.partial(make_env, resolved, split) for split in ("train", "test")}
     workers = cfg.collector.num_workers
     make: Callable[..., EpisodePool] = instantiate(resolved.collector.pool, _partial_=True)
-    stored = OmegaConf.select(cfg, "replay.codec.state_keys") or ()
-    keep = dict.fromkeys((*keep, *stored))
-    return (make if workers else SerialPool)(envs, num_workers=workers, keep=keep)
+    stored = instantiate(cfg.replay.codec).observation_keys if "replay" in cfg else ()
+    return (make if workers else SerialPool)(envs, num_workers=workers, keep=(*keep, *stored))
 
 
 def rounds(
