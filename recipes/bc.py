@@ -20,8 +20,10 @@ from imitator import Imitator
 from omegaconf import DictConfig, ListConfig
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
+from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
+from torchgrasp.rollouts.episode_pool import EpisodePool
+from torchgrasp.runs.metrics import MetricsLogger
 
 ROLLOUTS = ("expert", "learner")
 

@@ -24,11 +24,12 @@ from origin import SHARD_ROUNDS, check_learner, check_origin, describe_origin, t
 from sources import Source, list_demonstrations
 from tensordict.nn import TensorDictSequential
 
+from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.data import append_shard, begin_demonstrations, count_shards, open_demonstrations
-from torchgrasp.data.kinds import COUNTED, resolve_count
+from torchgrasp.data.demonstration_kinds import COUNTED, resolve_count
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import EpisodePool, Progress, one_line_errors
-from torchgrasp.training.episodes import Episode
+from torchgrasp.rollouts.episode_pool import Episode, EpisodePool
+from torchgrasp.runs.progress import Progress
 
 # Episodes without one of the kind wanted after which collecting would never end.
 _HOPELESS = 200

@@ -10,12 +10,13 @@ from omegaconf import DictConfig, OmegaConf
 from run_groups import find_groups, unquote_labels
 from settings import check_values
 
+from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import make_run_dir, one_line_errors
-from torchgrasp.training.comparison import GroupRow, compare_runs
-from torchgrasp.training.comparison_tables import to_text, write_comparison
-from torchgrasp.training.results import RunResult, read_result
-from torchgrasp.training.sweep import read_failure
+from torchgrasp.evaluation.comparison import GroupRow, compare_runs
+from torchgrasp.evaluation.run_results import RunResult, read_result
+from torchgrasp.report.comparison_page import to_text, write_comparison
+from torchgrasp.runs.run_directory import make_run_dir
+from torchgrasp.runs.sweep_record import read_failure
 
 
 def compare(cfg: DictConfig) -> list[GroupRow]:

@@ -10,9 +10,10 @@ from omegaconf import DictConfig, OmegaConf
 from run_groups import find_groups, unquote_labels
 from settings import check_values
 
-from torchgrasp.training import make_run_dir, one_line_errors
-from torchgrasp.training.curves import LearningCurve, average_curves, read_curve, write_curves_csv
-from torchgrasp.training.plots import can_plot, plot_curves, to_png, to_svg
+from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.evaluation.learning_curves import LearningCurve, average_curves, read_curve, write_curves_csv
+from torchgrasp.report.plots import can_plot, plot_curves, to_png, to_svg
+from torchgrasp.runs.run_directory import make_run_dir
 
 
 def draw(cfg: DictConfig) -> dict[str, LearningCurve]:

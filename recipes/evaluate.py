@@ -14,8 +14,9 @@ import reports
 import settings
 from omegaconf import DictConfig
 
-from torchgrasp.training import one_line_errors, write_summary
-from torchgrasp.training.video import check_video_tools
+from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.report.film import check_video_tools
+from torchgrasp.runs.run_directory import write_summary
 
 
 def evaluate(cfg: DictConfig) -> dict:

@@ -23,7 +23,9 @@ from origin import take_given
 from sources import list_demonstrations
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
+from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.rollouts.episode_pool import EpisodePool
+from torchgrasp.runs.metrics import MetricsLogger
 from torchgrasp.transforms import HindsightGoal
 
 

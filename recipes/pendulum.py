@@ -22,16 +22,12 @@ from torchrl.envs import PendulumEnv
 from torchrl.envs.utils import step_mdp
 from torchrl.modules import MLP
 
+from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.data import MixtureSampler
 from torchgrasp.objectives import StaggeredTargetUpdate
-from torchgrasp.training import (
-    hardware,
-    make_run_dir,
-    one_line_errors,
-    seed_everything,
-    step_schedule,
-    versions,
-)
+from torchgrasp.runs.run_directory import hardware, make_run_dir, versions
+from torchgrasp.runs.seeding import seed_everything
+from torchgrasp.training.schedules import step_schedule
 
 _STATE = ("th", "thdot")
 

@@ -21,7 +21,9 @@ from omegaconf import DictConfig
 from sources import without_expert
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 
-from torchgrasp.training import EpisodePool, MetricsLogger, one_line_errors
+from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.rollouts.episode_pool import EpisodePool
+from torchgrasp.runs.metrics import MetricsLogger
 
 
 def train(cfg: DictConfig) -> dict:

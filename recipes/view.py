@@ -15,11 +15,13 @@ from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 
+from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import SerialPool, SuccessTable, one_line_errors
-from torchgrasp.training.viewer import EpisodeViewer
-from torchgrasp.training.viewer_panel import Skipped
+from torchgrasp.evaluation.success import SuccessTable
+from torchgrasp.report.viewer import EpisodeViewer
+from torchgrasp.report.viewer_panel import Skipped
+from torchgrasp.rollouts.episode_pool import SerialPool
 
 
 def view(cfg: DictConfig) -> dict[str, dict]:

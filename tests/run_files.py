@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from torchgrasp.training import SuccessTable
+from torchgrasp.evaluation.success import SuccessTable
 
 CONFIG = {
     "objects": {"_target_": "torchgrasp.objects.ProceduralObjects", "split": "train", "num_objects": 160},

@@ -12,9 +12,9 @@ from torchgrasp.errors import TorchgraspError
 # A command's module has HELP, add_arguments(parser) and run(args) -> exit code. Only the chosen one is
 # imported: the doctor has to run where the others' packages are broken.
 COMMANDS = {
-    "doctor": "torchgrasp.doctor",
-    "objects": "torchgrasp.object_table",
-    "dataset": "torchgrasp.dataset_card",
+    "doctor": "torchgrasp.commands.doctor",
+    "objects": "torchgrasp.commands.objects",
+    "dataset": "torchgrasp.commands.dataset",
 }
 
 

@@ -10,7 +10,7 @@ from rollouts import append
 
 from torchgrasp.__main__ import main
 from torchgrasp.data import begin_demonstrations, open_demonstrations
-from torchgrasp.data.minari import export_minari, import_minari
+from torchgrasp.data.minari.exchange import export_minari, import_minari
 from torchgrasp.errors import CheckpointError, ConfigError
 
 minari = pytest.importorskip("minari")

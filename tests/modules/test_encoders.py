@@ -8,7 +8,7 @@ from torch import nn
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules import PointNet, PointNet2
-from torchgrasp.modules.reference import PlainPointNet2
+from torchgrasp.modules.plain_pointnet2 import PlainPointNet2
 
 ENCODERS = [PointNet, PointNet2]
 NORMS = ["none", "layer", "group", "batch"]

@@ -6,7 +6,7 @@ from acronym_files import CENTRE, SIZE, write_acronym
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import AcronymObjects
 from torchgrasp.sim import Physics
-from torchgrasp.sim.hold import grasp_holds
+from torchgrasp.sim.grasp_proof import grasp_holds
 
 
 @pytest.fixture

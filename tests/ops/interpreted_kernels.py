@@ -2,7 +2,7 @@
 
 import torch
 
-from torchgrasp.ops import dense, kernels, reference
+from torchgrasp.ops import definitions, dense, kernels
 from torchgrasp.ops.cuda import check_against_dense
 
 SIZES = ((1, 1), (33, 5), (130, 16))
@@ -20,9 +20,9 @@ def check(num_points: int, num: int, dtype: torch.dtype) -> None:
         found = kernels.ball_query(xyz, centres, valid, 0.03, num)
         for b in range(2):
             one = None if valid is None else valid[b]
-            expected = reference.farthest_point_sample(xyz[b], num, int(first[b]), one)
+            expected = definitions.farthest_point_sample(xyz[b], num, int(first[b]), one)
             assert torch.equal(index[b], expected), (num_points, dtype, "farthest")
-            expected = reference.ball_query(xyz[b], centres[b], 0.03, num, one)
+            expected = definitions.ball_query(xyz[b], centres[b], 0.03, num, one)
             assert torch.equal(found[b], expected), (num_points, dtype, "ball")
 
 

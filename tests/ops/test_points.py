@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.ops import ball_query, farthest_point_sample, group, reference
+from torchgrasp.ops import ball_query, definitions, farthest_point_sample, group
 
 CLOUDS = {
     "random": lambda g: torch.rand(3, 40, 3, generator=g) * 0.1,
@@ -49,7 +49,7 @@ def _masks(mask, clouds):
 def test_sampling_equals_its_definition(clouds, mask, num, dtype):
     clouds = clouds.to(dtype)
     expected = [
-        reference.farthest_point_sample(cloud, num, reference.outermost_point(cloud, m), m)
+        definitions.farthest_point_sample(cloud, num, definitions.outermost_point(cloud, m), m)
         for cloud, m in zip(clouds, _masks(mask, clouds), strict=True)
     ]
     found = farthest_point_sample(_spoil(clouds, mask), num, mask=mask, start="outermost")
@@ -58,7 +58,7 @@ def test_sampling_equals_its_definition(clouds, mask, num, dtype):
 
 def test_sampling_begins_at_the_first_point(clouds, mask):
     expected = [
-        reference.farthest_point_sample(cloud, 8, 0 if m is None else int(m.int().argmax()), m)
+        definitions.farthest_point_sample(cloud, 8, 0 if m is None else int(m.int().argmax()), m)
         for cloud, m in zip(clouds, _masks(mask, clouds), strict=True)
     ]
     assert torch.equal(farthest_point_sample(_spoil(clouds, mask), 8, mask=mask), torch.stack(expected))
@@ -95,7 +95,7 @@ def test_ball_query_equals_its_definition(clouds, mask, radius, num, dtype):
     clouds = clouds.to(dtype)
     centres = clouds[:, :5] + torch.tensor([0.0, 0.01, 0.0], dtype=dtype)
     expected = [
-        reference.ball_query(p, c, radius, num, m)
+        definitions.ball_query(p, c, radius, num, m)
         for p, c, m in zip(clouds, centres, _masks(mask, clouds), strict=True)
     ]
     found = ball_query(_spoil(clouds, mask), centres, radius, num, mask=mask)
@@ -105,7 +105,7 @@ def test_ball_query_equals_its_definition(clouds, mask, radius, num, dtype):
 def test_group_equals_its_definition(clouds):
     features = torch.cat((clouds, clouds.square()), dim=-1)
     index = ball_query(clouds, clouds[:, :5], 0.05, 6)
-    expected = torch.stack([reference.group(f, i) for f, i in zip(features, index, strict=True)])
+    expected = torch.stack([definitions.group(f, i) for f, i in zip(features, index, strict=True)])
     assert torch.equal(group(features, index), expected)
 
 

@@ -11,9 +11,9 @@ from torchrl.envs import TransformedEnv
 from torchgrasp.envs import GraspEnv
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy, OpenLoopPolicy, PlanStatus
+from torchgrasp.rollouts.episode_pool import SerialPool
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 from torchgrasp.sim import kinematics as kin
-from torchgrasp.training import SerialPool
 
 OBJECTS = ProceduralObjects("train", num_objects=4, num_grasps=100)
 BARE = [replace(item, grasps=item.grasps[:0], grasp_quality=item.grasp_quality[:0]) for item in OBJECTS]

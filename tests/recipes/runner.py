@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from torchgrasp.training import load_weights
+from torchgrasp.runs.weights import load_weights
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,7 +8,8 @@ from evaluate import evaluate
 from omegaconf import OmegaConf
 
 from torchgrasp.errors import CheckpointError, ConfigError
-from torchgrasp.training import load_checkpoint, load_weights
+from torchgrasp.runs.checkpoint import load_checkpoint
+from torchgrasp.runs.weights import load_weights
 
 SHORT = ["evaluation.baselines=[]", "evaluation.episodes=2"]
 

@@ -19,9 +19,9 @@ from origin import check_rows
 from runner import command, environment
 
 from torchgrasp.data import count_shards, open_demonstrations
-from torchgrasp.data.minari import export_minari, import_minari
+from torchgrasp.data.minari.exchange import export_minari, import_minari
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import save_weights
+from torchgrasp.runs.weights import save_weights
 
 
 @pytest.fixture

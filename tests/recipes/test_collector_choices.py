@@ -11,8 +11,9 @@ import common
 import pytest
 from runner import ROOT, command, environment
 
-from torchgrasp.training import ProcessPool, SerialPool
-from torchgrasp.training.ray_pool import RayPool
+from torchgrasp.rollouts.episode_pool import SerialPool
+from torchgrasp.rollouts.process_pool import ProcessPool
+from torchgrasp.rollouts.ray_pool import RayPool
 
 CHOICES = sorted(path.stem for path in (ROOT / "conf" / "collector").glob("*.yaml"))
 OPTIONS = ("experiment=smoke", "evaluation.baselines=[]", "pretrain.steps=0", "evaluation.episodes=2")

@@ -4,7 +4,7 @@ from run_files import write_run
 from run_groups import unquote_labels
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.training.sweep import SweepJob, write_job
+from torchgrasp.runs.sweep_record import SweepJob, write_job
 
 
 @pytest.fixture

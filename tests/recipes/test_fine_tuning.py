@@ -9,7 +9,7 @@ from hydra.errors import InstantiationException
 from runner import assert_heads_alone_learned
 
 from torchgrasp.errors import CheckpointError, ConfigError
-from torchgrasp.training import load_weights
+from torchgrasp.runs.weights import load_weights
 
 SHORT = ["experiment=smoke", "total_env_steps=12", "evaluation.baselines=[]", "evaluation.episodes=2"]
 FROZEN = ["model.actor.freeze_encoder=true", "model.critic.freeze_encoder=true"]

@@ -20,7 +20,7 @@ from tensordict.nn import TensorDictSequential
 from torchgrasp.data import open_demonstrations
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules import GoalPredictor, GraspActor
-from torchgrasp.training import load_weights, save_weights
+from torchgrasp.runs.weights import load_weights, save_weights
 
 CONDITIONED = ["model.actor.goal_input=true", "model.critic.goal_input=true"]
 

@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictSequential
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic
-from torchgrasp.training import save_weights
+from torchgrasp.runs.weights import save_weights
 
 CONDITIONED = ["model.actor.goal_input=true", "model.critic.goal_input=true"]
 SILENT = ["model.actor.goal_prediction=false", "model.critic.goal_prediction=false"]

@@ -15,7 +15,8 @@ from test_bc import find_run, stored_rows
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import goal_to_pose
-from torchgrasp.training import load_checkpoint, load_weights
+from torchgrasp.runs.checkpoint import load_checkpoint
+from torchgrasp.runs.weights import load_weights
 from torchgrasp.transforms import HindsightGoal
 
 SMALL = ["experiment=[smoke,hindsight/normal]", "total_env_steps=24", "objects=procedural"]

@@ -12,10 +12,12 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from tensordict import TensorDict
 
+from torchgrasp.config.one_line_errors import find_cause
 from torchgrasp.errors import ConfigError, TorchgraspError
+from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.planning import ExpertPolicy, OpenLoopPolicy, Relay
-from torchgrasp.training import Episode, SuccessTable, save_weights
-from torchgrasp.training.cli import find_cause
+from torchgrasp.rollouts.episode_pool import Episode
+from torchgrasp.runs.weights import save_weights
 
 SMALL = ["objects.num_objects=4", "evaluation.num_objects=4", "objects.num_grasps=100"]
 SMALL += ["evaluation.num_envs=2", "collector.num_workers=0"]

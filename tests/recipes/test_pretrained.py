@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.training import PRETRAINED, load_weights
+from torchgrasp.runs.weights import PRETRAINED, load_weights
 
 OPTIONS = ["episodes=21", "evaluation.num_envs=7", "evaluation.num_objects=8", "collector.num_workers=1"]
 

@@ -7,7 +7,7 @@ from albums import FailureAlbum
 from evaluate import evaluate
 from tensordict import TensorDict
 
-from torchgrasp.training import Episode
+from torchgrasp.rollouts.episode_pool import Episode
 
 
 def read_report(root, recipe: str) -> str:

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from torchgrasp.training.sweep import read_sweep
+from torchgrasp.runs.sweep_record import read_sweep
 
 SMOKE = ("experiment=smoke", "evaluation.baselines=[]")
 

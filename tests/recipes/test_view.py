@@ -24,10 +24,10 @@ from websockets.sync.client import connect
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
+from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.planning import ExpertPolicy, RandomAction
-from torchgrasp.training import SuccessTable
-from torchgrasp.training.viewer import EpisodeViewer
-from torchgrasp.training.viewer_panel import Skipped
+from torchgrasp.report.viewer import EpisodeViewer
+from torchgrasp.report.viewer_panel import Skipped
 
 SMALL = ["objects.num_objects=2", "evaluation.num_objects=2", "objects.num_grasps=100", "env.horizon=4"]
 SMALL += ["camera.intrinsics.width=32", "camera.intrinsics.height=32", "num_points=64", "speed=10"]

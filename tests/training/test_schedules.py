@@ -5,7 +5,7 @@ import torch
 from torch.optim.lr_scheduler import LambdaLR
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.training import cosine_schedule, step_schedule
+from torchgrasp.training.schedules import cosine_schedule, step_schedule
 
 SCHEDULES = [
     # Rates of 0.4, halved at steps 3 and 5.

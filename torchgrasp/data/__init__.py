@@ -1,13 +1,13 @@
 """Transitions and demonstrations: stored compactly, mixed in exact shares, saved without pickle."""
 
 from torchgrasp.data.buffer import MixtureReplayBuffer as MixtureReplayBuffer
-from torchgrasp.data.card import begin_demonstrations as begin_demonstrations
+from torchgrasp.data.buffer_memory import estimate_bytes as estimate_bytes
 from torchgrasp.data.compact import CompactTransitions as CompactTransitions
+from torchgrasp.data.demonstration_card import begin_demonstrations as begin_demonstrations
+from torchgrasp.data.demonstration_kinds import find_counted as find_counted
 from torchgrasp.data.demonstrations import Demonstrations as Demonstrations
 from torchgrasp.data.demonstrations import drop_damaged_shards as drop_damaged_shards
 from torchgrasp.data.demonstrations import open_demonstrations as open_demonstrations
-from torchgrasp.data.kinds import find_counted as find_counted
-from torchgrasp.data.memory import estimate_bytes as estimate_bytes
 from torchgrasp.data.priorities import Priority as Priority
 from torchgrasp.data.sampler import MixtureSampler as MixtureSampler
 from torchgrasp.data.shard_storage import ShardStorage as ShardStorage

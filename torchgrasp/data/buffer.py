@@ -13,8 +13,8 @@ from torchrl.data import TensorDictReplayBuffer
 from torchrl.envs.transforms import Compose, Transform
 
 from torchgrasp import keys
+from torchgrasp.data.buffer_memory import check_space, count_row_bytes
 from torchgrasp.data.compact import CompactTransitions
-from torchgrasp.data.memory import check_space, count_row_bytes
 from torchgrasp.data.priorities import Priority
 from torchgrasp.data.sampler import MixtureSampler
 from torchgrasp.data.shares import check_shares

@@ -23,8 +23,8 @@ from torchrl.data import TensorDictReplayBuffer
 from torchrl.data.replay_buffers.writers import ImmutableDatasetWriter
 from torchrl.envs.transforms import Compose, Transform
 
-from torchgrasp.data.card import add_to_card, empty_card, read_card, write_card
 from torchgrasp.data.compact import CompactTransitions
+from torchgrasp.data.demonstration_card import add_to_card, empty_card, read_card, write_card
 from torchgrasp.data.files import reading
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage

@@ -10,7 +10,7 @@ from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import Storage
 
-from torchgrasp.data.kinds import find_counted
+from torchgrasp.data.demonstration_kinds import find_counted
 from torchgrasp.data.sampler import STUB
 from torchgrasp.errors import ConfigError
 

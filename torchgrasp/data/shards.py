@@ -13,8 +13,15 @@ from tensordict import TensorDict, TensorDictBase
 
 import torchgrasp
 from torchgrasp import keys
-from torchgrasp.data.card import COUNTS, FORMAT, add_to_card, begin_demonstrations, read_card, write_card
 from torchgrasp.data.compact import CompactTransitions
+from torchgrasp.data.demonstration_card import (
+    COUNTS,
+    FORMAT,
+    add_to_card,
+    begin_demonstrations,
+    read_card,
+    write_card,
+)
 from torchgrasp.data.files import check_file, describe_file, read_sealed_json, replace_folder, seal_json
 from torchgrasp.data.sampler import STUB
 from torchgrasp.errors import CheckpointError, ConfigError

@@ -13,7 +13,7 @@ from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from torch import Tensor
 from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorStorage, Storage
 
-from torchgrasp.data.memory import check_space, count_row_bytes
+from torchgrasp.data.buffer_memory import check_space, count_row_bytes
 from torchgrasp.errors import ConfigError
 
 SUCCESSOR = "successor"

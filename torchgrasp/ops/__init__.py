@@ -1,6 +1,6 @@
 """Point operations: sampling, neighbourhoods, grouping.
 
-`reference` spells each operation out as its definition; the functions here give the same answers, bit
+`definitions` spells each operation out as its definition; the functions here give the same answers, bit
 for bit, on batches and fast, on the CPU (`dense`) and on CUDA devices (`kernels`). Nothing is compiled
 at installation.
 """

@@ -1,6 +1,6 @@
-"""The operations of `reference` on whole batches, in torch alone: the path of the CPU, and of any device.
+"""The operations of `definitions` on whole batches, in torch alone: the path of the CPU, and of any device.
 
-Every function takes any leading dimensions and gives the results of `reference`, bit for bit.
+Every function takes any leading dimensions and gives the results of `definitions`, bit for bit.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchgrasp.ops.reference import wide
+from torchgrasp.ops.definitions import wide
 
 _INDEX_BITS = 32
 

@@ -3,7 +3,7 @@
 
 A program holds one cloud's coordinates in registers: sampling then reads memory once instead of once a
 chosen point, and the ball query writes no (M, N) distances. Fusing multiplications into additions is
-switched off, so that distances are those of `reference` to the bit.
+switched off, so that distances are those of `definitions` to the bit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The operations of `reference` for batches, as torch operators: one kernel a device, the same results.
+"""The operations of `definitions` for batches, as torch operators: one kernel a device, the same results.
 
 They are custom operators, so that torch.compile and vmap take each as a whole. On the CPU, and where
 Triton does not work, `dense` computes them; on a CUDA device the kernels of `kernels` do.

@@ -20,8 +20,8 @@ from torchgrasp.planning.goals import pose_distances
 from torchgrasp.planning.law import Course, Law, PathFollower
 from torchgrasp.planning.plan import Plan, PlanStatus
 from torchgrasp.planning.planner import Planner
-from torchgrasp.planning.states import STATE_KEYS, WorldStates
 from torchgrasp.planning.trajectory_planner import TrajectoryPlanner
+from torchgrasp.planning.world_states import STATE_KEYS, WorldStates
 from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array
 

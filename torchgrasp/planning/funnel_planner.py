@@ -10,9 +10,9 @@ import numpy as np
 from torchgrasp.errors import check_range, check_whole
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
-from torchgrasp.planning.driven import drive_along
 from torchgrasp.planning.funnel import Funnel
 from torchgrasp.planning.goals import GoalChoice
+from torchgrasp.planning.joint_path import drive_along
 from torchgrasp.planning.plan import Plan, PlanStatus
 from torchgrasp.planning.planner import Planner, Query
 from torchgrasp.sim import kinematics

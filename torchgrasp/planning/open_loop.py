@@ -16,8 +16,8 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.plan import Plan, PlanStatus
 from torchgrasp.planning.planner import Planner
 from torchgrasp.planning.pose_noise import PoseNoise
-from torchgrasp.planning.states import STATE_KEYS, WorldStates
 from torchgrasp.planning.trajectory_planner import TrajectoryPlanner
+from torchgrasp.planning.world_states import STATE_KEYS, WorldStates
 from torchgrasp.randomness import MomentGenerators
 from torchgrasp.sim.control import ActionSpace, EeDelta
 from torchgrasp.sim.kinematics import Array

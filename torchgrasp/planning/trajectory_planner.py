@@ -13,8 +13,8 @@ from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.planning.contact import arm_is_free, hand_is_free, starts_inside
-from torchgrasp.planning.driven import drive_along
 from torchgrasp.planning.goals import GoalChoice
+from torchgrasp.planning.joint_path import drive_along
 from torchgrasp.planning.pacing import pace
 from torchgrasp.planning.plan import Plan, PlanStatus
 from torchgrasp.planning.planner import Planner, Query

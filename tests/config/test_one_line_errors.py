@@ -1,0 +1,54 @@
+import pickle
+import subprocess
+import sys
+
+import pytest
+
+from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.errors import ConfigError
+
+
+@one_line_errors()
+def decorated(value: int) -> int:
+    """Of this module, so that it can be pickled by its name."""
+    if value < 0:
+        raise ConfigError("too\nsmall")
+    return 2 * value
+
+
+def test_what_it_decorates_keeps_its_value_and_can_be_called_again(capsys):
+    assert (decorated(2), decorated(3)) == (4, 6)
+    for _ in range(2):
+        with pytest.raises(SystemExit) as caught:
+            decorated(-1)
+        assert caught.value.code == 1 and capsys.readouterr().err == "error: too small\n"
+
+
+def test_it_can_be_sent_to_another_process():
+    guard = pickle.loads(pickle.dumps(one_line_errors()))
+    with pytest.raises(SystemExit), guard:
+        raise ConfigError("no")
+
+
+@pytest.mark.parametrize("unbuffered", [[], ["-u"]], ids=["buffered", "unbuffered"])
+def test_output_that_nobody_reads_ends_without_a_word(unbuffered):
+    script = """
+import sys
+from torchgrasp.config.one_line_errors import one_line_errors
+
+@one_line_errors()
+def main():
+    sys.stdin.readline()
+    for _ in range(3):
+        print("x" * 9000)
+
+main()
+"""
+    command = [sys.executable, *unbuffered, "-c", script]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, text=True, stdin=pipe, stdout=pipe, stderr=pipe) as process:
+        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        process.stdin.write("go on\n")
+        process.stdin.close()
+        assert process.stderr.read() == ""

@@ -1,0 +1,178 @@
+import csv
+import io
+import json
+import math
+from pathlib import Path
+
+import pytest
+import yaml
+from run_files import success_table, write_run
+
+from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.evaluation.comparison import compare_runs
+from torchgrasp.evaluation.run_results import check_same_scenes, read_result
+from torchgrasp.report.comparison_page import to_csv, to_markdown, to_page, to_text, write_comparison
+
+
+def results(folder: Path, successes: dict[int, int], **options):
+    """A run of ten episodes for each seed."""
+    return [read_result(write_run(folder / str(seed), seed, n, **options)) for seed, n in successes.items()]
+
+
+@pytest.fixture
+def rows(tmp_path):
+    groups = {
+        "without": results(tmp_path / "a", {0: 3, 1: 4, 2: 5}, wall_seconds=600.0),
+        "with": results(tmp_path / "b", {2: 8, 0: 5, 1: 8}, wall_seconds=1200.0),
+        "other seeds": results(tmp_path / "c", {5: 6, 6: 8}),
+        "alone": results(tmp_path / "d", {0: 10}),
+    }
+    return compare_runs(groups)
+
+
+def test_three_seeds_by_hand(rows):
+    first, second = rows[:2]
+    assert first.seeds == (0, 1, 2) and first.values == (0.3, 0.4, 0.5)
+    assert first.mean == pytest.approx(0.4) and first.std == pytest.approx(0.1)
+    assert first.success == (12, 30) and first.pooled is not None
+    assert first.pooled == pytest.approx((0.4, 0.2459, 0.5768), abs=1e-4)  # Wilson's interval of 12 in 30
+    assert first.difference is None
+    assert second.seeds == (0, 1, 2) and second.values == (0.5, 0.8, 0.8)  # sorted by seed
+
+
+def test_differences_are_paired_by_seed_where_they_can_be(rows):
+    _, paired, welch, alone = (row.difference for row in rows)
+    # Per seed 0.2, 0.4, 0.3: mean 0.3, s = 0.1, t(0.975, 2) = 4.302653.
+    assert (paired.method, paired.value) == ("paired", pytest.approx(0.3))
+    assert paired.over_seeds == pytest.approx((0.3 - 0.248414, 0.3 + 0.248414), abs=1e-6)
+    assert (welch.method, welch.value) == ("welch", pytest.approx(0.3))
+    assert welch.over_seeds[0] < 0.3 < welch.over_seeds[1]
+    assert (alone.method, alone.over_seeds, alone.value) == (None, None, pytest.approx(0.6))
+    assert all(each.over_episodes is not None for each in (paired, welch, alone))
+
+
+def test_the_tables_hold_the_same_numbers(rows, tmp_path):
+    markdown, text, page = to_markdown(rows, title="A | B"), to_text(rows), to_page(rows, title="<b>")
+    for cell in ("40.0 ± 10.0 %", "30.0, 40.0, 50.0", "40.0 % [24.6, 57.7]", "+30.0 points", "[+5.2, +54.8]"):
+        assert cell in markdown and cell in text and cell in page
+    assert "| without | 10.0 | 33,600 | 5,000 |" in markdown and "| with | 20.0 |" in markdown
+    assert "| alone | 0 | 100.0 | 100.0 % |" in markdown and "one run: no interval" in text
+    assert "<td>evaluation.seed</td><td>1000</td>" in page and "<h1>&lt;b&gt;</h1>" in page
+    assert "src=" not in page and "href=" not in page  # it loads nothing
+    paths = write_comparison(tmp_path, rows, title="A | B")
+    assert [path.read_text() for path in paths[:2]] == [markdown, to_csv(rows)]
+
+
+def test_the_csv_has_every_digit(rows):
+    first, second, _, alone = csv.DictReader(io.StringIO(to_csv(rows)))
+    assert (first["seeds"], first["values"], first["difference"]) == ("0;1;2", "0.3;0.4;0.5", "")
+    assert float(second["difference_low_over_seeds"]) == pytest.approx(0.3 - 0.2484138)
+    assert (second["method"], float(second["wall_minutes"]), second["episodes"]) == ("paired", 20.0, "30")
+    assert (alone["std"], alone["method"], alone["difference_low_over_seeds"]) == ("", "", "")
+
+
+def test_another_table_of_the_summary(tmp_path):
+    prediction = {"actor": {"trajectories": 7, "expert_goal": {"translation_m": {"min": 0.02, "mean": 0.05}}}}
+    comparison = {"policy": success_table(8), "expert": success_table(10)}
+    run = write_run(tmp_path / "run", 0, 8, comparison=comparison, grasp_prediction=prediction)
+    assert read_result(run, key="expert").success == (10, 10)
+    found = read_result(run, key="grasp_prediction")
+    assert found.success is None
+    assert found.values == {
+        "actor expert goal translation m min": 0.02,
+        "actor expert goal translation m mean": 0.05,
+    }
+    assert "0.02" in to_text(compare_runs({"one": [found], "same": [found]}))
+    with pytest.raises(ConfigError, match=r"key=planner: .* choose from grasp_prediction, policy, expert"):
+        read_result(run, key="planner")
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        ("evaluation", "seed", 7),
+        ("evaluation", "episodes", 20),
+        ("evaluation", "split", "val"),
+        ("evaluation", "num_objects", 3),
+        ("evaluation", "num_envs", 2),
+        ("objects", "_target_", "torchgrasp.objects.YcbObjects"),
+        ("env", "target_motion", "jitter"),
+        ("env", "horizon", 20),
+    ],
+)
+def test_other_scenes_are_refused_by_name(tmp_path, part, name, value):
+    ours = read_result(write_run(tmp_path / "ours", 0, 5))
+    other = read_result(write_run(tmp_path / "other", 0, 5, config={part: {name: value}}))
+    with pytest.raises(
+        ConfigError, match=rf"ours and .*other were evaluated on different.*{name}=.* {value}"
+    ):
+        check_same_scenes([ours, ours, other])
+
+
+def test_targets_move_as_the_evaluation_says(tmp_path):
+    """Where `evaluation.target_motion` is given, it holds; else the environment's own."""
+    motions = {"still": (None, "static"), "told": ("jitter", "static"), "own": (None, "jitter")}
+    still, told, own = (
+        read_result(
+            write_run(
+                tmp_path / name,
+                0,
+                5,
+                config={"evaluation": {"target_motion": motion}, "env": {"target_motion": trained}},
+            )
+        )
+        for name, (motion, trained) in motions.items()
+    )
+    check_same_scenes([told, own])
+    with pytest.raises(ConfigError, match=r"env.target_motion=static and jitter"):
+        check_same_scenes([still, told])
+
+
+def test_what_training_alone_sees_may_differ(tmp_path):
+    trained_otherwise = {"objects": {"num_objects": 1500, "num_grasps": 50}, "env": {"num_envs": 1}}
+    check_same_scenes(
+        [
+            read_result(write_run(tmp_path / "ours", 0, 5)),
+            read_result(write_run(tmp_path / "other", 1, 5, config=trained_otherwise)),
+        ]
+    )
+
+
+def test_other_objects_under_the_same_options_are_noticed(tmp_path):
+    summary = success_table(5)
+    summary["objects"]["cup"] = summary["objects"].pop("mug")
+    runs = [
+        read_result(write_run(tmp_path / "ours", 0, 5)),
+        read_result(write_run(tmp_path / "b", 1, 5, **summary)),
+    ]
+    with pytest.raises(ConfigError, match="episodes of mug=5 and -; episodes of cup=- and 5"):
+        check_same_scenes(runs)
+
+
+def test_an_evaluation_has_the_seed_of_what_it_evaluated(tmp_path):
+    trained = write_run(tmp_path / "trained", 4, 5)
+    evaluation = write_run(tmp_path / "evaluation", 1000, 6)
+    config = yaml.safe_load((evaluation / "config.yaml").read_text())
+    for policy, seed in ((str(trained), 4), ("expert", None), (str(tmp_path / "gone"), None)):
+        (evaluation / "config.yaml").write_text(yaml.safe_dump({**config, "policy": policy, "learner": None}))
+        assert read_result(evaluation).seed == seed
+
+
+def test_a_seed_twice_or_none_finished_is_refused(tmp_path):
+    one = results(tmp_path / "a", {0: 3}) + results(tmp_path / "b", {0: 3})
+    with pytest.raises(ConfigError, match="have the same seed 0"):
+        compare_runs({"twice": one})
+    with pytest.raises(ConfigError, match="empty: no run has finished"):
+        compare_runs({"empty": []})
+
+
+def test_damaged_and_diverged_runs_are_named(tmp_path):
+    run = write_run(tmp_path / "run", 0, 5, grasp_prediction={"actor": {"rotation_deg": math.nan}})
+    with pytest.raises(ConfigError, match="actor rotation deg holds no number: leave the run out"):
+        read_result(run, key="grasp_prediction")
+    (run / "summary.json").write_text(json.dumps({**success_table(5), "wall_seconds": 1.0, "env_steps": 3}))
+    with pytest.raises(CheckpointError, match="gradient_steps"):
+        read_result(run)
+    (run / "config.yaml").unlink()
+    with pytest.raises(CheckpointError, match=r"config\.yaml"):
+        read_result(run)

@@ -1,0 +1,55 @@
+import math
+
+import pytest
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.evaluation.intervals import mean_interval, newcombe_interval, welch_interval
+
+
+@pytest.mark.parametrize(
+    ("counts", "low", "high"),
+    [  # Newcombe 1998, Table II, method 10
+        ((56, 70, 48, 80), 0.0524, 0.3339),
+        ((9, 10, 3, 10), 0.1705, 0.8090),
+        ((6, 7, 2, 7), 0.0582, 0.8062),
+        ((5, 56, 0, 29), -0.0381, 0.1926),
+        ((0, 10, 0, 20), -0.1611, 0.2775),
+        ((10, 10, 0, 10), 0.6075, 1.0),
+    ],
+)
+def test_newcombes_own_examples(counts, low, high):
+    assert newcombe_interval(*counts) == pytest.approx((low, high), abs=6e-5)
+
+
+def test_changing_sides_changes_the_sign():
+    low, high = newcombe_interval(3, 40, 11, 25)
+    assert newcombe_interval(11, 25, 3, 40) == pytest.approx((-high, -low))
+    low, high = welch_interval([0.1, 0.4], [0.3, 0.35, 0.2])
+    assert welch_interval([0.3, 0.35, 0.2], [0.1, 0.4]) == pytest.approx((-high, -low))
+
+
+def test_where_nothing_was_tried_nothing_is_known():
+    low, high = newcombe_interval(0, 0, 0, 0)
+    assert low == pytest.approx(-math.sqrt(0.5)) and high == pytest.approx(math.sqrt(0.5))
+
+
+def test_students_interval_by_hand():
+    # t(0.975, 2) = 4.302653, s = 0.1, so 0.2 ± 4.302653 * 0.1 / sqrt(3)
+    assert mean_interval([0.1, 0.2, 0.3]) == pytest.approx((0.2 - 0.248414, 0.2 + 0.248414), abs=1e-6)
+    # t(0.95, 1) = 6.313752
+    assert mean_interval([0.0, 2.0], confidence=0.9) == pytest.approx((1 - 6.313752, 1 + 6.313752), abs=1e-6)
+
+
+def test_welchs_interval_by_hand():
+    # Equal variances and sizes: 2 (n - 1) = 4 degrees, t(0.975, 4) = 2.776445, both s² / n = 1 / 3.
+    half = 2.776445 * math.sqrt(2 / 3)
+    assert welch_interval([1.0, 2.0, 3.0], [5.0, 6.0, 7.0]) == pytest.approx((-4 - half, -4 + half), abs=1e-5)
+    assert welch_interval([0.5, 0.5], [0.25, 0.25]) == (0.25, 0.25)
+
+
+@pytest.mark.parametrize("values", [[], [0.5]])
+def test_one_run_has_no_interval(values):
+    with pytest.raises(ConfigError, match="two seeds"):
+        mean_interval(values)
+    with pytest.raises(ConfigError, match="two seeds"):
+        welch_interval([0.1, 0.2], values)

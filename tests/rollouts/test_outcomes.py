@@ -1,0 +1,31 @@
+"""Why episodes fail, by physics."""
+
+import torch
+from tensordict.nn import TensorDictModule
+
+from torchgrasp.envs import GraspEnv
+from torchgrasp.objects import ProceduralObjects
+from torchgrasp.rollouts.episode_pool import SerialPool
+from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+
+OBJECTS = ProceduralObjects("train", num_objects=1, num_grasps=100)
+
+
+def run_always(*action: float) -> list[str | None]:
+    """Causes of two episodes of twenty steps of one action."""
+    camera = RaycastCamera(CameraIntrinsics(12, 12))
+    policy = TensorDictModule(
+        lambda time_left: torch.tensor(action).expand(*time_left.shape[:-1], -1), ["time_left"], ["action"]
+    )
+    with SerialPool({"test": lambda: GraspEnv(2, objects=OBJECTS, camera=camera, horizon=20)}) as pool:
+        (episodes,) = pool.run("test", policy, [0])
+    return [episode.failure for episode in episodes]
+
+
+def test_a_hand_that_stands_closes_on_nothing():
+    assert run_always(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == 2 * ["the fingers closed on nothing"]
+
+
+def test_an_arm_that_is_sent_beyond_its_reach_is_told_from_one_that_misses():
+    """Backwards from the object, 6 cm a step: 120 cm are more than its reach."""
+    assert run_always(0.0, 0.0, -0.06, 0.0, 0.0, 0.0) == 2 * ["the arm could not follow"]

@@ -1,0 +1,65 @@
+"""``python -m torchgrasp dataset <folder>``: what demonstrations hold, and whether all of it is whole."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from torchgrasp.data.demonstration_kinds import KINDS
+from torchgrasp.data.demonstrations import drop_damaged_shards, open_demonstrations
+from torchgrasp.data.minari.exchange import export_minari, import_minari
+from torchgrasp.errors import ConfigError
+
+HELP = "check a folder of demonstrations and print its card; export it to Minari, or import it from there"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of the command."""
+    minari = "an id like torchgrasp/expert-v0, or a folder that begins with / or ."
+    parser.add_argument("folder", help="of recipes/collect.py")
+    action = parser.add_mutually_exclusive_group()
+    action.add_argument("--export", metavar="DATASET", help=f"write it as a new Minari dataset: {minari}")
+    action.add_argument(
+        "--import", dest="source", metavar="DATASET", help=f"make it from a Minari dataset: {minari}"
+    )
+    action.add_argument(
+        "--drop-damaged", action="store_true", help="delete the first damaged shard and those after it"
+    )
+    parser.add_argument(
+        "--kind", choices=KINDS, help="with --import: of the demonstrations, in place of what it says"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what is asked for; every byte is checked before the card is printed."""
+    if args.kind is not None and args.source is None:
+        raise ConfigError(
+            f"--kind={args.kind} goes with --import alone: a folder keeps the kind that it has."
+        )
+    if args.source is not None:
+        import_minari(args.source, args.folder, kind=args.kind)
+    if args.drop_damaged:
+        names = drop_damaged_shards(args.folder)
+        again = f"{', '.join(names)} deleted: collect again to make them anew."
+        print(again if names else "No shard is damaged, none was deleted.")
+        return 0
+    demonstrations = open_demonstrations(args.folder)
+    print_card(demonstrations.card)
+    if args.export is not None:
+        print(f"Written to {export_minari(demonstrations, args.export)}")
+    return 0
+
+
+def print_card(card: dict[str, Any]) -> None:
+    """The card in lines, objects in a table."""
+    plain = {name: value for name, value in card.items() if not isinstance(value, dict | list)}
+    plain["seeds"] = ", ".join(map(str, card["seeds"]))
+    plain["versions"] = ", ".join(f"{name} {'/'.join(each)}" for name, each in card["versions"].items())
+    plain["provenance"] = ", ".join(card["provenance"]) or "not told"
+    for name, value in plain.items():
+        print(f"{name:18} {value}")
+    width = max((len(name) for name in card["objects"]), default=0)
+    print(f"\n{'object':{width}}  episodes  successful")
+    for name, counts in card["objects"].items():
+        print(f"{name:{width}}  {counts['episodes']:8}  {counts['successes']:10}")
+    print("\nAll files are as they were written.")

@@ -1,0 +1,1 @@
+"""Demonstrations to and from Minari datasets."""

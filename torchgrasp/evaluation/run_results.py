@@ -1,0 +1,188 @@
+"""What a finished run measured, read from its summary.json and config.yaml, and on which scenes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from torchgrasp.errors import CheckpointError, ConfigError
+
+# Of the environment and the objects, what does not change a scene: scenes come from the evaluation's worlds
+# and seed, the number of grasps is the expert's.
+_NOT_OF_SCENES = ("env.num_envs", "env.action_space", "objects.num_grasps")
+_OF_EVALUATION = ("seed", "episodes", "num_envs")
+_NO_TABLES = ("objects", "comparison", "versions", "hardware", "failures", "never_lifted", "demonstrations")
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """One run's numbers.
+
+    Attributes:
+        run: its directory.
+        seed: that training began from; None of an evaluation whose run is no longer there.
+        values: by measure; of a success table `success rate`, in [0, 1].
+        success: (successes, episodes), None where the measures are no success.
+        scenes: what fixes the evaluation's scenes, by option, and every object's episodes.
+        wall_minutes: of the whole run.
+        env_steps: of training, or of the evaluation.
+        gradient_steps: of training.
+    """
+
+    run: Path
+    seed: int | None
+    values: Mapping[str, float]
+    success: tuple[int, int] | None
+    scenes: Mapping[str, Any]
+    wall_minutes: float
+    env_steps: int
+    gradient_steps: int
+
+
+def read_result(run_dir: str | Path, *, key: str | None = None) -> RunResult:
+    """Read a run directory of td3_bc.py, evaluate.py or another recipe that evaluates.
+
+    Args:
+        run_dir: with summary.json and config.yaml.
+        key: a table of the summary's `comparison`, such as "policy after imitation alone", or another
+            part of the summary, such as "grasp_prediction". None: the summary's own success.
+
+    Raises:
+        CheckpointError: where a file is missing or damaged.
+        ConfigError: where there is no such table, or a number of it is not finite.
+    """
+    run_dir = Path(run_dir)
+    summary, config = _read(run_dir / "summary.json"), _read(run_dir / "config.yaml")
+    table = _choose(run_dir, summary, key)
+    try:
+        values, success = _measures(table)
+        result = RunResult(
+            run=run_dir,
+            seed=_seed(config),
+            values=values,
+            success=success,
+            scenes=read_scenes(config) | _episodes_by_object(table),
+            wall_minutes=summary["wall_seconds"] / 60,
+            env_steps=summary["env_steps"],
+            gradient_steps=summary["gradient_steps"],
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise CheckpointError(
+            f"{run_dir}/summary.json cannot be used ({reason}): give runs of the recipes."
+        ) from error
+    _check_finite(result)
+    return result
+
+
+def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a run's configuration fixes the scenes of its evaluation, by dotted name.
+
+    >>> config = {"evaluation": {"seed": 1000}, "objects": {"split": "train", "num_objects": 160}}
+    >>> read_scenes(config | {"env": {"horizon": 30, "num_envs": 7}})
+    {'evaluation.seed': 1000, 'objects.split': 'train', 'objects.num_objects': 160, 'env.horizon': 30}
+    """
+    evaluation, objects = config.get("evaluation", {}), dict(config.get("objects", {}))
+    if objects.get("split") is not None:  # the evaluation's split and number hold, where there are splits
+        objects |= {name: evaluation[name] for name in ("split", "num_objects") if name in evaluation}
+    chosen = {name: evaluation[name] for name in _OF_EVALUATION if name in evaluation}
+    env = dict(config.get("env", {}))
+    if evaluation.get("target_motion") is not None:  # of the evaluation's targets alone
+        env["target_motion"] = evaluation["target_motion"]
+    parts = {"evaluation": chosen, "objects": objects, "env": env}
+    return {name: value for name, value in flatten(parts) if name not in _NOT_OF_SCENES}
+
+
+def check_same_scenes(results: Sequence[RunResult]) -> None:
+    """Refuse runs whose evaluations met other scenes than the first one's.
+
+    Raises:
+        ConfigError: names the two runs and what differs.
+    """
+    first = results[0]
+    for other in results[1:]:
+        names = {**first.scenes, **other.scenes}
+        differing = [n for n in names if first.scenes.get(n, "-") != other.scenes.get(n, "-")]
+        if differing:
+            words = "; ".join(
+                f"{n}={first.scenes.get(n, '-')} and {other.scenes.get(n, '-')}" for n in differing[:5]
+            )
+            raise ConfigError(
+                f"{first.run} and {other.run} were evaluated on different scenes ({words}): evaluate both "
+                "alike, by recipes/evaluate.py with the same options, and compare those runs."
+            )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text()
+        read = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise CheckpointError(f"{path} cannot be read ({error}): restore it from a copy.") from error
+    if not isinstance(read, dict):
+        raise CheckpointError(f"{path} holds no mapping: give run directories of the recipes.")
+    return read
+
+
+def _choose(run_dir: Path, summary: dict[str, Any], key: str | None) -> Mapping[str, Any]:
+    if key is None:
+        return summary
+    tables = {name: each for name, each in summary.items() if isinstance(each, dict) and each}
+    tables = {name: each for name, each in tables.items() if name not in _NO_TABLES}
+    tables |= summary.get("comparison", {})
+    if key not in tables:
+        raise ConfigError(
+            f"key={key}: {run_dir}/summary.json has no such table: choose from {', '.join(tables) or 'none'}."
+        )
+    return tables[key]
+
+
+def _measures(table: Mapping[str, Any]) -> tuple[dict[str, float], tuple[int, int] | None]:
+    if "success_rate" in table:
+        rate, episodes = float(table["success_rate"]), int(table["episodes"])
+        return {"success rate": rate}, (round(rate * episodes), episodes)
+    numbers = {name.replace(".", " "): value for name, value in flatten(table)}
+    measures = {n: float(v) for n, v in numbers.items() if isinstance(v, int | float)}
+    return {n.replace("_", " "): v for n, v in measures.items() if not n.endswith("trajectories")}, None
+
+
+def _check_finite(result: RunResult) -> None:
+    bad = [name for name, value in result.values.items() if not math.isfinite(value)]
+    if bad or not result.values:
+        reason = f"{', '.join(bad) or 'the table'} holds no number"
+        raise ConfigError(f"{result.run}: {reason}: leave the run out.")
+
+
+def _episodes_by_object(table: Mapping[str, Any]) -> dict[str, int]:
+    rows = table.get("objects", {})
+    return {f"episodes of {name}": row["episodes"] for name, row in sorted(rows.items())}
+
+
+def _seed(config: Mapping[str, Any]) -> int | None:
+    """The seed of the training, which an evaluation finds in the run that it evaluated."""
+    if "policy" not in config:
+        return config.get("seed")
+    for name in ("learner", "policy"):
+        trained = Path(str(config.get(name))) / "config.yaml"
+        if trained.is_file():
+            return _read(trained).get("seed")
+    return None
+
+
+def flatten(value: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """(dotted name, value) of a nested mapping's leaves; an empty mapping is a leaf.
+
+    >>> list(flatten({"env": {"horizon": 30, "start": {}}, "seed": 0}))
+    [('env.horizon', 30), ('env.start', {}), ('seed', 0)]
+    """
+    for key, item in value.items():
+        if isinstance(item, Mapping) and item:
+            yield from flatten(item, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", item

@@ -1,0 +1,56 @@
+"""Episodes that the expert begins and the learner ends (Sec. 3.5)."""
+
+from __future__ import annotations
+
+import zlib
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from torchgrasp import keys
+from torchgrasp.errors import check_range
+
+
+class ExpertStart(TensorDictModuleBase):
+    """Lets the expert act in the first steps of some episodes, the learner in the rest (Sec. 3.5).
+
+    Args:
+        probability: of an episode that the expert begins.
+        max_steps: it acts for 1 to so many steps, drawn uniformly.
+        horizon: T of the environment.
+        seed: of the draws.
+    """
+
+    def __init__(self, *, horizon: int, probability: float = 0.5, max_steps: int = 10, seed: int = 0) -> None:
+        super().__init__()
+        check_range("expert_start.probability", probability, 0.0, 1.0)
+        check_range("expert_start.max_steps", max_steps, 1, horizon)
+        self.in_keys = [
+            keys.ACTION,
+            keys.EXPERT_ACTION,
+            keys.HAS_EXPERT,
+            keys.TIME_LEFT,
+            keys.WORLD,
+            keys.EPISODE,
+        ]
+        self.out_keys = [keys.ACTION]
+        self.horizon, self.probability, self.max_steps = horizon, probability, max_steps
+        self._key = (seed, zlib.crc32(b"ExpertStart"))
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Put EXPERT_ACTION (*, 6) in the place of ACTION where it is the expert's turn."""
+        n = tensordict.batch_size.numel()
+        world, episode = (tensordict.get(key).reshape(n).tolist() for key in (keys.WORLD, keys.EPISODE))
+        steps = torch.tensor([self._steps(*names) for names in zip(world, episode, strict=True)])
+        elapsed = (1.0 - tensordict.get(keys.TIME_LEFT)) * self.horizon
+        turn = elapsed.round() < steps.reshape(*tensordict.batch_size, 1).to(elapsed.device)
+        turn &= tensordict.get(keys.HAS_EXPERT)
+        action = torch.where(turn, tensordict.get(keys.EXPERT_ACTION), tensordict.get(keys.ACTION))
+        return tensordict.set(keys.ACTION, action)
+
+    def _steps(self, world: int, episode: int) -> int:
+        """How many steps the expert acts in this episode."""
+        rng = np.random.default_rng((*self._key, world, episode))
+        return int(rng.integers(1, self.max_steps + 1)) if rng.random() < self.probability else 0

@@ -1,0 +1,98 @@
+"""Episodes in several processes of this machine."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import threading
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+
+import torch
+
+from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
+
+_SPAWN = get_context("spawn")  # a fork would share threads and physics
+_STARTING = threading.Lock()  # multiprocessing keeps its children in a list without one
+
+
+class ProcessPool(WorkerPool):
+    """Runs episodes in `num_workers` processes, each on one core; see `WorkerPool`.
+
+    Example:
+        >>> import functools
+        >>> from torchgrasp.envs import GraspEnv
+        >>> from torchgrasp.objects import ProceduralObjects
+        >>> from torchgrasp.planning import RandomAction
+        >>> objects = ProceduralObjects("train", num_objects=1, num_grasps=100)
+        >>> make_env = functools.partial(GraspEnv, 2, objects=objects, horizon=3)
+        >>> with ProcessPool({"train": make_env}, num_workers=1) as pool:
+        ...     (batch,) = pool.run("train", RandomAction(), [7])
+        >>> [(episode.world, episode.number) for episode in batch]
+        [(0, 7), (1, 7)]
+    """
+
+    def _start_worker(self, index: int) -> Worker:
+        return ProcessWorker(index, pickle.dumps(self._runner))
+
+
+class ProcessWorker(Worker):
+    """A process at the other end of a pipe.
+
+    Args:
+        index: of the worker in its pool.
+        runner: a pickled EpisodeRunner.
+    """
+
+    def __init__(self, index: int, runner: bytes) -> None:
+        self._pipe, theirs = _SPAWN.Pipe()
+        # A daemon ends with this process, even where nobody closes the pool.
+        self._process = _SPAWN.Process(target=_serve, args=(theirs, runner), daemon=True)
+        with _STARTING:
+            self._process.start()
+        theirs.close()  # so that its death closes the pipe
+        self.name = f"Worker {index} (process {self._process.pid})"
+
+    def run(self, task: Task) -> bytes:
+        """Send the task and wait for its answer."""
+        try:
+            self._pipe.send((task.env, task.policy, task.number, task.explore))
+            return self._pipe.recv_bytes()
+        except (EOFError, OSError) as error:
+            self._process.join(timeout=5)
+            raise WorkerLostError(_tell_end(self._process.exitcode)) from error
+
+    def stop(self) -> None:
+        """Kill the process; it holds nothing that anybody misses."""
+        self._process.kill()
+
+
+def _tell_end(code: int | None) -> str:
+    """How a process ended, after "Worker 0 (process 7)"."""
+    if code is None or code >= 0:
+        return f"ended by itself with exit code {code}"
+    name = signal.Signals(-code).name
+    return f"was killed by {name}" + (", as it happens when memory runs out" if name == "SIGKILL" else "")
+
+
+def _serve(pipe: Connection, packed: bytes) -> None:
+    """The life of a worker process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C is for the process that started it
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    torch.set_num_threads(1)
+    runner = pickle.loads(packed)
+    while True:
+        try:
+            env, policy, number, explore = pipe.recv()
+        except EOFError:
+            return
+        pipe.send_bytes(answer(runner, env, policy, number, explore))
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would finish its episode first."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)

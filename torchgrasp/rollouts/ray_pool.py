@@ -1,0 +1,163 @@
+"""Episodes on the machines of a Ray cluster."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import socket
+import sys
+from collections.abc import Iterable, Mapping
+from types import ModuleType
+from typing import Any
+
+import torch
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.rollouts.episode_pool import MakeEnv, Policy
+from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
+
+_START_SECONDS = 120.0  # for a machine to import torch; longer means that there is no room for the worker
+
+
+class RayPool(WorkerPool):
+    """Runs episodes in `num_workers` Ray actors; see `WorkerPool`.
+
+    Ray is joined where `address` says, or started on this machine alone and ended with the pool; a Ray
+    that is running already in this process is used as it is. The policy goes to each machine once a
+    call of `run`. Environments are pickled by value where Ray's workers could not import them.
+
+    Args:
+        envs: name -> function that makes the environment.
+        num_workers: actors.
+        keep: as for every pool.
+        address: of a running cluster, ``auto`` for this machine's; None starts one here.
+        num_cpus: cores that Ray sets aside for each actor.
+        init: more arguments of `ray.init`, such as `runtime_env`.
+    """
+
+    def __init__(
+        self,
+        envs: Mapping[str, MakeEnv],
+        *,
+        num_workers: int,
+        keep: Iterable | None = None,
+        address: str | None = None,
+        num_cpus: float = 1.0,
+        init: Mapping[str, Any] | None = None,
+    ) -> None:
+        super().__init__(envs, num_workers=num_workers, keep=keep)
+        self._ray = import_ray()
+        self._num_cpus = num_cpus
+        cores = num_workers * num_cpus
+        self._owns_ray = not self._ray.is_initialized()
+        if self._owns_ray:
+            own = {"num_cpus": math.ceil(cores), "include_dashboard": False} if address is None else {}
+            try:
+                _check_address(address)
+                self._ray.init(address or "local", **{"logging_level": "warning", **own, **(init or {})})
+            except OSError as error:
+                raise ConfigError(
+                    f"No Ray answers at collector.address={address} ({error}): begin with `ray start --head`."
+                ) from error
+        found = self._ray.cluster_resources().get("CPU", 0)
+        if found < cores:
+            self.close()
+            raise ConfigError(
+                f"collector.num_workers={num_workers} of {num_cpus:g} cores each do not fit the {found:g} "
+                "cores of the Ray cluster: let more machines join by `ray start --address=...`, or lower it."
+            )
+        actor = self._ray.remote(num_cpus=num_cpus, max_restarts=0)(_RemoteRunner)
+        packed = self._ray.cloudpickle.dumps(self._runner)
+        self._make_actor = lambda: actor.remote(sys.path, packed)
+
+    def _start_worker(self, index: int) -> Worker:
+        return RayWorker(self._ray, index, self._make_actor())
+
+    def _publish(self, policy: Policy) -> Any:
+        return self._ray.put(self._ray.cloudpickle.dumps(policy))
+
+    def close(self) -> None:
+        """End the actors, and Ray where this pool began it."""
+        super().close()
+        if self._owns_ray:
+            self._ray.shutdown()
+
+
+class RayWorker(Worker):
+    """An actor somewhere in the cluster.
+
+    Args:
+        ray: the module.
+        index: of the worker in its pool.
+        actor: a `_RemoteRunner`.
+    """
+
+    def __init__(self, ray: ModuleType, index: int, actor: Any) -> None:
+        self._ray, self._actor = ray, actor
+        self._losses = (ray.exceptions.RayActorError, ray.exceptions.OutOfMemoryError)
+        self.name = f"Worker {index}"
+        try:
+            machine, pid = ray.get(actor.whereabouts.remote(), timeout=_START_SECONDS)
+        except self._losses as error:
+            raise WorkerLostError(_tell_loss(error)) from error
+        except ray.exceptions.GetTimeoutError as error:
+            self.stop()
+            raise WorkerLostError(f"found no machine with room for it in {_START_SECONDS:g} s") from error
+        self.name = f"Worker {index} (process {pid} on {machine})"
+
+    def run(self, task: Task) -> bytes:
+        """Call the actor and wait for its answer."""
+        call = self._actor.run.remote(task.env, task.policy, task.number, task.explore)
+        try:
+            return self._ray.get(call)
+        except self._losses as error:
+            raise WorkerLostError(_tell_loss(error)) from error
+
+    def stop(self) -> None:
+        """Kill the actor; it holds nothing that anybody misses."""
+        self._ray.kill(self._actor)
+
+
+def import_ray() -> ModuleType:
+    """Ray, or ConfigError with the way to get it."""
+    # Ray reports each use to its makers unless told otherwise; who wants that sets it to 1.
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+    except ImportError as error:
+        raise ConfigError(
+            f'collector=ray needs the extra ray ({error}): pip install "torchgrasp[ray]".'
+        ) from error
+    return ray
+
+
+def _check_address(address: str | None) -> None:
+    """Raise OSError where nothing listens at host:port; Ray itself would try for minutes, then exit."""
+    host, _, port = (address or "").rpartition("://")[2].rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=10).close()
+
+
+def _tell_loss(error: Exception) -> str:
+    """How an actor was lost, after "Worker 0 (process 7 on 10.0.0.1)"."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    told = [line for line in lines if line.startswith("The actor is dead because")]
+    return f"was lost ({(told or lines or ['Ray tells no reason'])[0]})"
+
+
+class _RemoteRunner:
+    """What an actor is: an EpisodeRunner that was unpickled where this process's modules are found."""
+
+    def __init__(self, path: list[str], runner: bytes) -> None:
+        sys.path += [each for each in path if each not in sys.path]
+        torch.set_num_threads(1)
+        self._runner = pickle.loads(runner)
+
+    def whereabouts(self) -> tuple[str, int]:
+        import ray
+
+        return ray.util.get_node_ip_address(), os.getpid()
+
+    def run(self, env: str, policy: bytes, number: int, explore: bool) -> bytes:
+        return answer(self._runner, env, policy, number, explore)
