@@ -8,38 +8,39 @@ python recipes/bc.py model.actor.goal_prediction=false        # without the auxi
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import collect
-import common
 import hydra
-import settings
-import stages
-from behaviour import DISTURBANCE, check_behaviour
-from imitator import Imitator
 from omegaconf import DictConfig, ListConfig
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictSequential
 
-from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.config import (
+    DISTURBANCE,
+    Run,
+    check_exploration,
+    conclude,
+    gather_sources,
+    make_demonstrator,
+    make_expert,
+    make_imitation_learner,
+    one_line_errors,
+    training_config,
+)
 from torchgrasp.errors import ConfigError
-from torchgrasp.rollouts.episode_pool import EpisodePool
-from torchgrasp.runs.metrics import MetricsLogger
+from torchgrasp.runs import seed_everything
+from torchgrasp.training import ImitationLearner
 
 ROLLOUTS = ("expert", "learner")
 
 
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
-    cfg = settings.resumed(cfg, "bc")
+    cfg = training_config(cfg, "bc")
     check_rollouts(cfg)
-    learner = Imitator(cfg, common.observed_shapes(cfg))
-    run_dir = settings.open_run(cfg, "bc")
-    with stages.make_pool(cfg) as pool:
-        common.prepare_objects(cfg)
-        logger = stages.begin(cfg, learner, collect.demonstrations(cfg, pool, run_dir), run_dir)
-        stages.pretrain(cfg, learner, logger, pool, run_dir)
-        imitate(cfg, learner, logger, pool, run_dir)
-        return stages.conclude(cfg, learner, logger, pool, run_dir)
+    seed_everything(cfg.seed)
+    with Run(cfg, make_imitation_learner(cfg)) as run:
+        run.begin(gather_sources(cfg, run.pool, run.folder))
+        pretrain(run)
+        imitate(run)
+        return conclude(run)
 
 
 def check_rollouts(cfg: DictConfig) -> None:
@@ -53,55 +54,58 @@ def check_rollouts(cfg: DictConfig) -> None:
         )
     if cfg.offline.updates:
         return
-    kind, reader = _acted_kind(cfg), f"online.rollouts={given}"
+    kind, reader = fresh_kind(cfg), f"online.rollouts={given}"
     if "expert" in given and kind in DISTURBANCE:
-        check_behaviour(cfg, DISTURBANCE[kind], reader, "or leave expert out of the rollouts")
+        check_exploration(cfg, DISTURBANCE[kind], reader, "or leave expert out of the rollouts")
     if "learner" in given:
-        check_behaviour(cfg, "expert_start", reader, "or leave learner out of the rollouts")
+        check_exploration(cfg, "expert_start", reader, "or leave learner out of the rollouts")
 
 
-def _acted_kind(cfg: DictConfig) -> str:
+def fresh_kind(cfg: DictConfig) -> str:
     """How the expert acts in fresh episodes: disturbed, unless it was not in the demonstrations."""
     return "expert" if cfg.demonstrations.kind == "expert" else "perturbed"
 
 
-def make_actors(cfg: DictConfig, learner: Imitator) -> list[TensorDictModuleBase]:
-    """Who acts in turn, as `online.rollouts` says; each state is labelled by the expert. Offline nobody."""
-    if cfg.offline.updates:
-        return []
-    labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
-    modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
-    actors = {
-        "expert": lambda: collect.make_demonstrator(cfg, _acted_kind(cfg)),
-        "learner": lambda: TensorDictSequential(*modules),
-    }
-    return [actors[name]() for name in cfg.online.rollouts]
+def pretrain(run: Run[ImitationLearner]) -> None:
+    """L_BC and L_AUX on D_expert alone (Sec. 3.3)."""
+    for batch in run.pretraining():
+        run.learner.imitate(batch)
+    if run.cfg.pretrain.steps and run.progress < 1.0:
+        run.measure_once("policy after imitation alone")
 
 
-def imitate(
-    cfg: DictConfig, learner: Imitator, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
-) -> None:
+def imitate(run: Run[ImitationLearner]) -> None:
     """Episodes by the expert and the learner in turn (Sec. 3.3, 3.5), and L_BC and L_AUX on the mixture.
 
     Offline there are no episodes: the same updates on demonstrations alone.
     """
-    rounds = common.rounds(cfg, pool, *make_actors(cfg, learner), first=learner.iterations)
-    learner.experience.draw_all(labelled=True)
-    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="more imitation")
-    for number in iterations:
-        if not cfg.offline.updates:
-            actor = cfg.online.rollouts[number % len(cfg.online.rollouts)]
-            episodes = stages.take_round(learner, rounds)
-            learner.note_successes(episodes if actor == "learner" else ())
-            for episode in episodes:
-                if actor == "learner" or episode.success:  # D_expert holds successes alone (Sec. 6.4)
-                    learner.experience.add(episode)
+    rollouts = run.cfg.online.rollouts
+    run.act(*make_actors(run))
+    run.experience.draw_all(labelled=True)
+    for iteration in run.iterations("more imitation"):
+        learner_acts = bool(rollouts) and rollouts[iteration % len(rollouts)] == "learner"
+        episodes = run.episodes()
+        run.note_successes(episodes if learner_acts else ())
+        for episode in episodes:
+            if learner_acts or episode.success:  # D_expert holds successes alone (Sec. 6.4)
+                run.experience.add(episode.steps)
 
-        metrics: dict[str, float] = {}
-        for _ in range(learner.updates_ahead):
-            metrics |= learner.imitate(learner.experience.sample())
-        iterations.done(metrics)
-    rounds.close()
+        for batch in run.batches():
+            run.learner.imitate(batch)
+
+
+def make_actors(run: Run[ImitationLearner]) -> list[TensorDictSequential]:
+    """Who acts in turn, as `online.rollouts` says; each state is labelled by the expert. Offline nobody."""
+    cfg = run.cfg
+    if cfg.offline.updates:
+        return []
+    labels = make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
+    modules: list = [labels, run.learner.actor, run.noise, run.expert_start]
+    actors = {
+        "expert": lambda: make_demonstrator(cfg, fresh_kind(cfg)),
+        "learner": lambda: TensorDictSequential(*modules),
+    }
+    return [actors[name]() for name in cfg.online.rollouts]
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="bc")

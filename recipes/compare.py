@@ -1,28 +1,30 @@
-"""Runs side by side: recipes/compare.py 'runs={"with DAgger": "dagger/td3_bc/*", without: [DIR, DIR]}'."""
+"""Runs side by side: means over seeds, pooled success, differences with their intervals.
+
+python recipes/compare.py 'runs={with DAgger: "dagger/td3_bc/*", without: [DIR, DIR]}'
+python recipes/compare.py runs=outputs/sweeps/<date_time>
+"""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
-from run_groups import find_groups, unquote_labels
-from settings import check_values
 
-from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.config import check_values, one_line_errors, plain
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.comparison import GroupRow, compare_runs
+from torchgrasp.evaluation.run_groups import find_groups
 from torchgrasp.evaluation.run_results import RunResult, read_result
 from torchgrasp.report.comparison_page import to_text, write_comparison
-from torchgrasp.runs.run_directory import make_run_dir
+from torchgrasp.runs import make_run_dir
 from torchgrasp.runs.sweep_record import read_failure
 
 
 def compare(cfg: DictConfig) -> list[GroupRow]:
     """Compare the runs' summaries; print the tables, write compare.md, compare.csv and compare.html."""
     check_values(cfg)
-    groups = find_groups(cfg.runs, label="all runs", holding="config.yaml")
+    groups = find_groups(plain(cfg.runs), label="all runs", holding="config.yaml")
     rows = compare_runs({label: _read(runs, cfg.key) for label, runs in groups.items()})
     folder = make_run_dir("compare", root=cfg.output_dir)
     OmegaConf.save(cfg, folder / "config.yaml", resolve=True)
@@ -60,5 +62,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    sys.argv = unquote_labels(sys.argv)
     main()

@@ -1,25 +1,32 @@
-"""Learning curves over seeds: recipes/curves.py 'runs=outputs/td3_bc/*' metric=train/success_rate."""
+"""Learning curves: mean and spread over runs that differ in their seed (Fig. 7).
+
+python recipes/curves.py 'runs=outputs/td3_bc/*' metric=train/success_rate
+python recipes/curves.py 'runs={with DAgger: "dagger/td3_bc/*", without: "plain/td3_bc/*"}' x=step
+"""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
-from run_groups import find_groups, unquote_labels
-from settings import check_values
 
-from torchgrasp.config.one_line_errors import one_line_errors
-from torchgrasp.evaluation.learning_curves import LearningCurve, average_curves, read_curve, write_curves_csv
+from torchgrasp.config import check_values, one_line_errors, plain
+from torchgrasp.evaluation.learning_curves import (
+    LearningCurve,
+    average_curves,
+    read_curve,
+    write_curves_csv,
+)
+from torchgrasp.evaluation.run_groups import find_groups
 from torchgrasp.report.plots import can_plot, plot_curves, to_png, to_svg
-from torchgrasp.runs.run_directory import make_run_dir
+from torchgrasp.runs import make_run_dir
 
 
 def draw(cfg: DictConfig) -> dict[str, LearningCurve]:
     """Average each group of runs; write curves.csv and, where matplotlib is there, curves.svg and .png."""
     check_values(cfg)
-    groups = find_groups(cfg.runs, label=str(cfg.metric), holding="metrics.csv")
+    groups = find_groups(plain(cfg.runs), label=str(cfg.metric), holding="metrics.csv")
     curves = {label: _average(cfg, group) for label, group in groups.items()}
     folder = make_run_dir("curves", root=cfg.output_dir)
     OmegaConf.save(cfg, folder / "config.yaml", resolve=True)
@@ -55,5 +62,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    sys.argv = unquote_labels(sys.argv)
     main()

@@ -1,61 +1,80 @@
-"""Success of a policy: recipes/evaluate.py policy=outputs/td3_bc/<date_time> episodes=200 seed=1000."""
+"""Success of a policy on scenes that training never saw, with its films, failures and grasp predictions.
+
+python recipes/evaluate.py policy=pretrained objects=ycb objects.split=test
+python recipes/evaluate.py policy=outputs/td3_bc/<date_time> episodes=200 seed=1000 video.episodes=3
+python recipes/evaluate.py policy=expert protocol=moving
+"""
 
 from __future__ import annotations
 
-import sys
 import time
 
-import albums
-import common
 import hydra
-import policies
-import predictions
-import reports
-import settings
 from omegaconf import DictConfig
+from torchgrasp.evaluation.success_rate import evaluate_policy
+from torchgrasp.report.film_recording import record_films
 
-from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.config import (
+    LEARNED_FROM,
+    PREDICTED_FROM,
+    describe_scenes,
+    evaluation_config,
+    make_policy,
+    make_pool,
+    make_predictors,
+    make_split_env,
+    observed_shapes,
+    one_line_errors,
+    open_run_dir,
+    predict_grasps,
+    prepare_objects,
+    write_page,
+)
+from torchgrasp.report import console
+from torchgrasp.report.episode_pictures import FailurePictures, GraspPictures
 from torchgrasp.report.film import check_video_tools
-from torchgrasp.runs.run_directory import write_summary
+from torchgrasp.runs import write_summary
 
 
 def evaluate(cfg: DictConfig) -> dict:
     """Run `episodes` scenes of the evaluation's objects; write and return the summary."""
     started = time.monotonic()
-    cfg = settings.for_evaluation(cfg)
+    cfg = evaluation_config(cfg)
     if cfg.video.episodes:
         check_video_tools()
-    common.observed_shapes(cfg)
-    name = str(cfg.policy)
-    policy = policies.make_policy(cfg, name)
-    predictors = predictions.make_predictors(name) if cfg.grasp_prediction else {}
-    by = {"learner_steps": reports.learner_steps} if name == "takeover" else {}
-    failed, predicted = albums.FailureAlbum(), albums.GraspAlbum()
-    keep = predictions.KEPT if predictors else common.KEPT
-    with common.make_pool(cfg, keep=keep) as pool:
-        common.prepare_objects(cfg, "test")
-        table = common.evaluate(cfg, pool, policy, name, by=by, watch=failed.add)
+    observed_shapes(cfg)
+    name, scenes = str(cfg.policy), describe_scenes(cfg)
+    policy = make_policy(cfg, name)
+    predictors = make_predictors(name) if cfg.grasp_prediction else {}
+    by = {"learner_steps": console.learner_steps} if name == "takeover" else {}
+    failed, predicted = FailurePictures(), GraspPictures()
+    sizes = {"num_episodes": cfg.evaluation.episodes, "num_envs": cfg.evaluation.num_envs}
+    with make_pool(cfg, keep=PREDICTED_FROM if predictors else LEARNED_FROM) as pool:
+        prepare_objects(cfg, "test")
+        table = evaluate_policy(pool, policy, **sizes, description=name, by=by, watch=failed.add)
         if predictors:
-            table["grasp_prediction"] = predictions.measure(cfg, pool, predictors, predicted)
-    run_dir = settings.open_run(cfg, "evaluate")
+            table["grasp_prediction"] = predict_grasps(cfg, pool, predictors, predicted.add)
+    run_dir = open_run_dir(cfg, "evaluate")
     if cfg.video.episodes:
-        common.record_videos(cfg, policy, run_dir / "videos")
+        count = min(cfg.video.episodes, cfg.evaluation.episodes)
+        env = make_split_env(cfg, "test")
+        record_films(env, policy, run_dir / "videos", num_episodes=count, fps=cfg.video.fps)
     summary = {
         **table,
         "policy": name,
         "learner": cfg.learner,
         "protocol": cfg.protocol,
-        "scenes": reports.describe_scenes(cfg),
+        "scenes": scenes,
         "wall_seconds": time.monotonic() - started,
         "gradient_steps": 0,
     }
     summary = write_summary(run_dir, summary)
     pictures = {"Predicted grasps": predicted.pictures} if predictors else {}
-    reports.write_page(cfg, run_dir, summary, {**pictures, "Failed episodes": failed.pictures})
-    reports.print_comparison(cfg, {name: table})
-    reports.print_failures(table)
-    reports.print_learner_steps(table)
-    reports.print_grasp_prediction(table)
+    write_page(cfg, run_dir, summary, {**pictures, "Failed episodes": failed.pictures})
+    console.print_comparison({name: table}, episodes=cfg.evaluation.episodes, scenes=scenes)
+    console.print_failures(table)
+    console.print_learner_steps(table)
+    console.print_grasp_prediction(table)
     print(f"Written to {run_dir}: summary.json, report.html{', videos/' if cfg.video.episodes else ''}")
     return summary
 
@@ -68,5 +87,4 @@ def main(cfg: DictConfig) -> None:
 
 
 if __name__ == "__main__":
-    sys.argv = settings.expand_video(sys.argv)
     main()

@@ -10,55 +10,57 @@ what they did themselves where it succeeded, with `online.self_imitation=true`.
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import common
 import hydra
-import settings
-import stages
-from inherit import begun_with
-from learner import Learner
 from omegaconf import DictConfig
-from origin import take_given
-from sources import list_demonstrations
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.config.one_line_errors import one_line_errors
-from torchgrasp.rollouts.episode_pool import EpisodePool
-from torchgrasp.runs.metrics import MetricsLogger
+from torchgrasp.config import (
+    Run,
+    begun_with,
+    conclude,
+    given_sources,
+    make_actor_critic,
+    one_line_errors,
+    training_config,
+)
+from torchgrasp.runs import seed_everything
+from torchgrasp.training import ActorCriticLearner
 from torchgrasp.transforms import HindsightGoal
 
 
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
-    cfg = begun_with(settings.resumed(cfg, "hindsight"))
-    learner = Learner(cfg, common.observed_shapes(cfg), own="hindsight")
-    known = [take_given(each, name) for name, each in list_demonstrations(cfg).items()]
-    run_dir = settings.open_run(cfg, "hindsight")
-    with stages.make_pool(cfg) as pool:
-        common.prepare_objects(cfg)
-        logger = stages.begin(cfg, learner, known, run_dir)
-        stages.measure_once(cfg, learner, pool, run_dir, "policy before fine-tuning")
-        tune(cfg, learner, logger, pool, run_dir)
-        return stages.conclude(cfg, learner, logger, pool, run_dir)
+    cfg = begun_with(training_config(cfg, "hindsight"))
+    known = given_sources(cfg)
+    seed_everything(cfg.seed)
+    with Run(cfg, make_actor_critic(cfg), own="hindsight") as run:
+        run.begin(known)
+        run.measure_once("policy before fine-tuning")
+        tune(run)
+        return conclude(run)
 
 
-def tune(cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path) -> None:
+def tune(run: Run[ActorCriticLearner]) -> None:
     """Algorithm 1 with D = D_expert of known objects and D_hindsight, by Eq. (5)."""
-    modules: list = [learner.policy, learner.noise]
-    rounds = common.rounds(cfg, pool, TensorDictSequential(*modules), first=learner.iterations)
+    cfg, learner, experience = run.cfg, run.learner, run.experience
+    modules: list = [learner.policy, run.noise]
+    run.act(TensorDictSequential(*modules))
     relabel = HindsightGoal(imitate=cfg.online.self_imitation)
-    learner.begin_reinforcement()
-    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="fine-tuning")
-    for _ in iterations:
-        episodes = stages.take_round(learner, rounds)
-        learner.note_successes(episodes)
+    experience.draw_all()
+    if run.iteration == 0:
+        learner.copy_to_targets()
+    for iteration in run.iterations("fine-tuning"):
+        episodes = run.episodes()
+        run.note_successes(episodes)
         for episode in episodes:
             relabel(episode.steps)  # where it succeeded, the pose that it reached; on demand its actions too
-            learner.experience.add(episode)
+            experience.add(episode.steps)
 
-        iterations.done(learner.reinforce())
-    rounds.close()
+        for batch in run.batches():
+            learner.update_critic(batch)
+            experience.update_priorities(batch)
+            if learner.actor_is_due and iteration >= cfg.online.critic_warmup:
+                learner.update_actor(batch)
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="hindsight")

@@ -10,9 +10,7 @@ import time
 
 import hydra
 import torch
-from hydra.utils import instantiate
 from omegaconf import DictConfig
-from schedule import check_milestones
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -22,12 +20,11 @@ from torchrl.envs import PendulumEnv
 from torchrl.envs.utils import step_mdp
 from torchrl.modules import MLP
 
-from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.config import Pendulum, build, check_values, one_line_errors
 from torchgrasp.data import MixtureSampler
 from torchgrasp.objectives import StaggeredTargetUpdate
-from torchgrasp.runs.run_directory import hardware, make_run_dir, versions
-from torchgrasp.runs.seeding import seed_everything
-from torchgrasp.training.schedules import step_schedule
+from torchgrasp.runs import hardware, make_run_dir, seed_everything, versions
+from torchgrasp.training import step_schedule
 
 _STATE = ("th", "thdot")
 
@@ -95,7 +92,7 @@ def train(cfg: DictConfig, seed: int) -> dict[str, float]:
     seed_everything(seed)
     env = PendulumEnv(seed=seed)
     actor, critics = make_networks(cfg.hidden)
-    loss = instantiate(cfg.loss, actor, critics).make_value_estimator(gamma=cfg.gamma)
+    loss = build(cfg.loss, actor, critics).make_value_estimator(gamma=cfg.gamma)
     targets = StaggeredTargetUpdate(loss, tau=cfg.tau, period=cfg.period)
     params = (loss.critic_network_params, loss.actor_network_params)
     adam_critic, adam_actor = (torch.optim.Adam(p.parameters(), lr=cfg.learning_rate) for p in params)
@@ -103,7 +100,7 @@ def train(cfg: DictConfig, seed: int) -> dict[str, float]:
     rate = step_schedule([*milestones], gamma=cfg.decay)
     schedulers = [LambdaLR(adam, rate) for adam in (adam_critic, adam_actor)]
     buffer = make_buffer(cfg)
-    before, started = mean_return(env, actor, cfg), time.monotonic()
+    before, started, critic_updates = mean_return(env, actor, cfg), time.monotonic(), 0
 
     now = start(env, cfg.num_envs)
     for step in range(cfg.random_steps + cfg.online_steps):
@@ -111,11 +108,12 @@ def train(cfg: DictConfig, seed: int) -> dict[str, float]:
         stepped = env.step(explore(actor, now, cfg.exploration if online else None))
         store(buffer, stepped, source=int(online))
         now = start(env, cfg.num_envs) if (step + 1) % cfg.horizon == 0 else step_mdp(stepped)
-        for update in range(1, online * cfg.updates + 1):
+        for _ in range(online * cfg.updates):
             batch = buffer.sample()
             descend(adam_critic, loss.critic_loss(batch))
             targets.step()
-            if update % cfg.policy_delay == 0:
+            critic_updates += 1
+            if critic_updates % cfg.policy_delay == 0:
                 descend(adam_actor, loss.actor_loss(batch))
         for scheduler in schedulers:
             if online:
@@ -135,7 +133,7 @@ def descend(optimizer: torch.optim.Optimizer, terms: TensorDictBase) -> None:
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Learn from each seed, and print and write the table."""
-    check_milestones("milestones", cfg.milestones)
+    check_values(cfg, Pendulum)
     rows = {}
     print("seed  return before  return after  seconds")
     for seed in [cfg.seeds] if isinstance(cfg.seeds, int) else cfg.seeds:

@@ -8,69 +8,79 @@ python recipes/td3_bc.py resume=outputs/td3_bc/<date_time>
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import collect
-import common
 import hydra
-import settings
-import stages
-from behaviour import check_behaviour
-from learner import Learner
 from omegaconf import DictConfig
-from sources import without_expert
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictSequential
 
-from torchgrasp.config.one_line_errors import one_line_errors
-from torchgrasp.rollouts.episode_pool import EpisodePool
-from torchgrasp.runs.metrics import MetricsLogger
+from torchgrasp.config import (
+    Run,
+    check_exploration,
+    conclude,
+    gather_sources,
+    make_actor_critic,
+    make_expert,
+    one_line_errors,
+    training_config,
+)
+from torchgrasp.data.demonstration_sources import without_expert
+from torchgrasp.runs import seed_everything
+from torchgrasp.training import ActorCriticLearner
 
 
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
-    cfg = settings.resumed(cfg, "td3_bc")
+    cfg = training_config(cfg, "td3_bc")
     if not cfg.offline.updates:
-        check_behaviour(cfg, "expert_start", "the learner's episodes")
-    learner = Learner(cfg, common.observed_shapes(cfg))
-    run_dir = settings.open_run(cfg, "td3_bc")
-    with stages.make_pool(cfg) as pool:
-        common.prepare_objects(cfg)
-        logger = stages.begin(cfg, learner, collect.demonstrations(cfg, pool, run_dir), run_dir)
-        stages.pretrain(cfg, learner, logger, pool, run_dir)
-        reinforce(cfg, learner, logger, pool, run_dir)
-        return stages.conclude(cfg, learner, logger, pool, run_dir)
+        check_exploration(cfg, "expert_start", "the learner's episodes")
+    seed_everything(cfg.seed)
+    with Run(cfg, make_actor_critic(cfg)) as run:
+        run.begin(gather_sources(cfg, run.pool, run.folder))
+        pretrain(run)
+        reinforce(run)
+        return conclude(run)
 
 
-def make_actors(cfg: DictConfig, learner: Learner) -> list[TensorDictModuleBase]:
-    """The learner, whose states the expert labels; offline nobody."""
-    if cfg.offline.updates:
-        return []
-    labels = common.make_expert(cfg, "train", execute=False)  # first: an actor may read its goal
-    modules: list = [labels, learner.actor, learner.noise, learner.expert_start]
-    return [TensorDictSequential(*modules)]
+def pretrain(run: Run[ActorCriticLearner]) -> None:
+    """L_BC and L_AUX on D_expert alone (Sec. 3.3); on demand the critic learns meanwhile."""
+    for batch in run.pretraining():
+        run.learner.imitate(batch)
+        if run.cfg.pretrain.critic:
+            run.learner.update_critic(batch)
+            run.experience.update_priorities(batch)
+    if run.cfg.pretrain.steps and run.progress < 1.0:
+        run.measure_once("policy after imitation alone")
 
 
-def reinforce(
-    cfg: DictConfig, learner: Learner, logger: MetricsLogger, pool: EpisodePool, run_dir: Path
-) -> None:
+def reinforce(run: Run[ActorCriticLearner]) -> None:
     """Rollouts of the learner, labelled by the expert, and TD3+BC on the mixture (Sec. 3.4, 3.5, 6.4).
 
     Offline there are no rollouts: the same updates on demonstrations alone.
     """
-    rounds = common.rounds(cfg, pool, *make_actors(cfg, learner), first=learner.iterations)
-    learner.begin_reinforcement()
-    iterations = stages.Iterations(cfg, learner, logger, run_dir, description="reinforcement")
-    for _ in iterations:
-        if not cfg.offline.updates:
-            episodes = stages.take_round(learner, rounds)
-            learner.note_successes(episodes)
-            for episode in episodes:
-                if not cfg.online.dagger:
-                    without_expert(episode.steps)
-                learner.experience.add(episode)
+    cfg, learner, experience = run.cfg, run.learner, run.experience
+    run.act(*make_actors(run))
+    experience.draw_all()
+    if run.iteration == 0:
+        learner.copy_to_targets()
+    for iteration in run.iterations("reinforcement"):
+        episodes = run.episodes()
+        run.note_successes(episodes)
+        for episode in episodes:
+            experience.add(episode.steps if cfg.online.dagger else without_expert(episode.steps))
 
-        iterations.done(learner.reinforce())
-    rounds.close()
+        for batch in run.batches():
+            learner.update_critic(batch)  # Eq. (3), and the targets
+            experience.update_priorities(batch)
+            if learner.actor_is_due and iteration >= cfg.online.critic_warmup:
+                learner.update_actor(batch)  # Eq. (4)
+
+
+def make_actors(run: Run[ActorCriticLearner]) -> list[TensorDictSequential]:
+    """The learner, whose states the expert labels; offline nobody."""
+    if run.cfg.offline.updates:
+        return []
+    labels = make_expert(run.cfg, "train", execute=False)  # first: an actor may read its goal
+    modules: list = [labels, run.learner.actor, run.noise, run.expert_start]
+    return [TensorDictSequential(*modules)]
 
 
 @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")

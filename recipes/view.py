@@ -6,42 +6,45 @@ import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import common
 import hydra
-import policies
-import settings
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
 
-from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.config import (
+    build,
+    evaluation_config,
+    make_policy,
+    make_split_env,
+    one_line_errors,
+    prepare_objects,
+)
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
-from torchgrasp.evaluation.success import SuccessTable
+from torchgrasp.evaluation import SuccessTable
 from torchgrasp.report.viewer import EpisodeViewer
 from torchgrasp.report.viewer_panel import Skipped
-from torchgrasp.rollouts.episode_pool import SerialPool
+from torchgrasp.rollouts import SerialPool
 
 
 def view(cfg: DictConfig) -> dict[str, dict]:
     """Show `episodes` scenes, or all until ctrl-C; return each policy's success, skipped scenes left out."""
     endless = cfg.episodes is None
     finite: Any = OmegaConf.merge(cfg, {"episodes": 1}) if endless else cfg
-    cfg = settings.for_evaluation(finite)
+    cfg = evaluation_config(finite)
     if cfg.evaluation.num_envs != 1:
         raise ConfigError(f"evaluation.num_envs={cfg.evaluation.num_envs}: the page shows one world, give 1.")
     names = list(dict.fromkeys((str(cfg.policy), "expert", "random")))
-    playing = {name: policies.make_policy(cfg, name).eval() for name in names}
-    env = common.make_env(cfg, "test")
+    playing = {name: make_policy(cfg, name).eval() for name in names}
+    env = make_split_env(cfg, "test")
     tables = {name: SuccessTable() for name in names}
-    period = instantiate(cfg.env.physics).control_period
+    period = build(cfg.env.physics).control_period
     with EpisodeViewer(
         policies=names, host=cfg.host, port=cfg.port, speed=cfg.speed, step_seconds=period
     ) as viewer:
         print(f"Open {viewer.address} in a browser; ctrl-C ends.", flush=True)
         try:
-            common.prepare_objects(cfg, "test")
+            prepare_objects(cfg, "test")
             play(viewer, env, playing, tables, itertools.count() if endless else range(cfg.episodes))
         except KeyboardInterrupt:
             print()

@@ -1,3 +1,34 @@
-"""torchgrasp: closed-loop 6-DoF grasping from point clouds, as TorchRL components."""
+"""torchgrasp: closed-loop 6-DoF grasping from point clouds, as TorchRL components.
 
-__version__ = "0.1.0"
+`load_policy` and `make_env` are imported when they are first used: importing the package loads nothing else.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from torchgrasp.config.trained_policy import load_policy as load_policy
+    from torchgrasp.config.trained_policy import make_env as make_env
+
+__version__ = "0.2.0"
+_LAZY = ("load_policy", "make_env")
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        from torchgrasp.config import trained_policy
+
+        return getattr(trained_policy, name)
+    raise AttributeError(f"module 'torchgrasp' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_LAZY])
+
+
+def register_gymnasium() -> None:
+    """Make ``torchgrasp/Grasp-v0`` known: Gymnasium calls this, its plugin, when it is imported."""
+    import gymnasium
+
+    gymnasium.register("torchgrasp/Grasp-v0", entry_point="torchgrasp.config.gym_env:make_gym_env")

@@ -1,13 +1,10 @@
-"""``python -m torchgrasp dataset <folder>``: what demonstrations hold, and whether all of it is whole."""
+"""``torchgrasp dataset <folder>``: what demonstrations hold, and whether all of it is whole."""
 
 from __future__ import annotations
 
 import argparse
 from typing import Any
 
-from torchgrasp.data.demonstration_kinds import KINDS
-from torchgrasp.data.demonstrations import drop_damaged_shards, open_demonstrations
-from torchgrasp.data.minari.exchange import export_minari, import_minari
 from torchgrasp.errors import ConfigError
 
 HELP = "check a folder of demonstrations and print its card; export it to Minari, or import it from there"
@@ -26,12 +23,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drop-damaged", action="store_true", help="delete the first damaged shard and those after it"
     )
     parser.add_argument(
-        "--kind", choices=KINDS, help="with --import: of the demonstrations, in place of what it says"
+        "--kind", help="with --import: of the demonstrations (expert, perturbed, failed, learner)"
     )
 
 
 def run(args: argparse.Namespace) -> int:
     """Do what is asked for; every byte is checked before the card is printed."""
+    from torchgrasp.data.demonstrations import drop_damaged_shards, open_demonstrations
+    from torchgrasp.data.minari.exchange import export_minari, import_minari
+
     if args.kind is not None and args.source is None:
         raise ConfigError(
             f"--kind={args.kind} goes with --import alone: a folder keeps the kind that it has."

@@ -1,4 +1,4 @@
-"""`python -m torchgrasp doctor`: what works on this machine, and what to do about what does not.
+"""`torchgrasp doctor`: what works on this machine, and what to do about what does not.
 
 Only the standard library is imported here at the top, so that a broken installation can still be told of.
 """

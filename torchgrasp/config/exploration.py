@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictSequential
 
+from torchgrasp.config.build import build
+from torchgrasp.config.environments import make_expert
 from torchgrasp.errors import ConfigError
 
 # What disturbs the expert in demonstrations of a kind.
 DISTURBANCE = {"perturbed": "disturb", "failed": "disturb_to_fail"}
 _OFF = "probability=0 switches it off"
 _NO_NOISE = "collector.noise.start=[0,0,0,0,0,0] with the same end switches it off"
+
+
+def make_demonstrator(cfg: DictConfig, kind: str) -> TensorDictSequential:
+    """The expert as it acts in demonstrations of a kind: disturbed, unless that is `expert`."""
+    modules: list = [make_expert(cfg, "train")]
+    if kind in DISTURBANCE:
+        modules.append(build(cfg.collector[DISTURBANCE[kind]]))
+    return TensorDictSequential(*modules)
 
 
 def check_demonstrators(cfg: DictConfig) -> None:
@@ -19,10 +30,10 @@ def check_demonstrators(cfg: DictConfig) -> None:
     if kind == "learner" and cfg.demonstrations.expert_start:
         needed["expert_start"] = "or leave demonstrations.expert_start out"
     for name, way in needed.items():
-        check_behaviour(cfg, name, f"demonstrations.kind={kind}", way)
+        check_exploration(cfg, name, f"demonstrations.kind={kind}", way)
 
 
-def check_behaviour(cfg: DictConfig, name: str, reader: str, way: str | None = None) -> None:
+def check_exploration(cfg: DictConfig, name: str, reader: str, way: str | None = None) -> None:
     """Refuse a `collector.<name>` that cannot be called, though `reader` needs it; `way` is another way."""
     value = OmegaConf.select(cfg, f"collector.{name}")
     if not isinstance(value, DictConfig) or "_target_" not in value:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from networks import forget_encoder_files
 from omegaconf import DictConfig, OmegaConf
-from settings import brought_along, given_names, weights_file
 
+from torchgrasp.config.networks import forget_encoder_files
+from torchgrasp.config.overrides import given_names
+from torchgrasp.config.weights_files import brought_along, weights_file
 from torchgrasp.data import count_shards
 from torchgrasp.errors import ConfigError
 
@@ -42,16 +43,21 @@ def begun_with(cfg: DictConfig) -> DictConfig:
     plain["env"] |= {name: brought["env"][name] for name in _TASK}
     plain["replay"] |= {name: brought["replay"][name] for name in _STORAGE}
     if cfg.demonstrations.path is None:
-        theirs = {name: brought["demonstrations"][name] for name in _DEMONSTRATIONS}
-        folder = weights_file(path).parent / "demonstrations"
-        if theirs["path"] is None and not count_shards(folder):
-            raise ConfigError(
-                f"init={path} has no demonstrations beside it, which would be D_expert: give "
-                "demonstrations.path=<folder of recipes/collect.py>, collected with what init brings along."
-            )
-        plain["demonstrations"] |= {**theirs, "path": theirs["path"] or str(folder)}
+        plain["demonstrations"] |= _find_demonstrations(path, brought["demonstrations"])
     begun: Any = OmegaConf.create(plain)
     forget_encoder_files(begun.model)
     for name in _FROZEN:
         OmegaConf.update(begun, name, OmegaConf.select(cfg, name))
     return begun
+
+
+def _find_demonstrations(init: Path, brought: dict[str, Any]) -> dict[str, Any]:
+    """The options of the demonstrations that `init` learned from, with the folder where they lie."""
+    theirs = {name: brought[name] for name in _DEMONSTRATIONS}
+    folder = weights_file(init).parent / "demonstrations"
+    if theirs["path"] is None and not count_shards(folder):
+        raise ConfigError(
+            f"init={init} has no demonstrations beside it, which would be D_expert: give "
+            "demonstrations.path=<folder of recipes/collect.py>, collected with what init brings along."
+        )
+    return {**theirs, "path": theirs["path"] or str(folder)}

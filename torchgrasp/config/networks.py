@@ -1,4 +1,4 @@
-"""The networks of a configuration, the policy that they make together, and what they need stored."""
+"""The networks of a configuration, and trained ones from a run directory or weights file."""
 
 from __future__ import annotations
 
@@ -6,54 +6,41 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from settings import weights_file
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torchrl.envs.transforms import Transform
+from tensordict.nn import TensorDictModuleBase
 
-from torchgrasp import keys
-from torchgrasp.data import CompactTransitions
+from torchgrasp.config.build import build
+from torchgrasp.config.weights_files import weights_file
 from torchgrasp.errors import CheckpointError, ConfigError
-from torchgrasp.geometry import GOAL_SIZE
-from torchgrasp.runs.weights import load_weights
+from torchgrasp.modules.goal_keys import reads_goal
+from torchgrasp.runs import load_weights
 
-
-def reads_goal(network: TensorDictModuleBase) -> bool:
-    """Whether the goal is among a network's inputs."""
-    return keys.GOAL in network.in_keys
-
-
-def predicts_goal(network: TensorDictModuleBase) -> bool:
-    """Whether a network has a goal head (the auxiliary task)."""
-    return keys.GOAL_PREDICTION in network.out_keys
+_NETWORKS = ("actor", "critic", "goal_network")
 
 
 def make_networks(model: DictConfig, *, critic: bool = True) -> dict[str, TensorDictModuleBase]:
     """Actor, critic and, where the actor reads the goal, the network that predicts it, by name."""
-    networks = {"actor": instantiate(model.actor)}
+    networks = {"actor": build(model.actor)}
     if critic:
-        networks["critic"] = instantiate(model.critic)
+        networks["critic"] = build(model.critic)
     if reads_goal(networks["actor"]):
-        networks["goal_network"] = instantiate(model.goal_network)
+        networks["goal_network"] = build(model.goal_network)
     return networks
 
 
 def load_acting(path: Path, *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
     """The trained networks that act, of a run directory or weights file; on demand the critic, if any."""
     states, config = load_weights(weights_file(path))
-    critic = critic and "critic" in states
     cfg: Any = OmegaConf.create(config["model"])
     forget_encoder_files(cfg)
-    networks = make_networks(cfg, critic=critic)
+    networks = make_networks(cfg, critic=critic and "critic" in states)
     _give(networks, states, path)
     return networks
 
 
 def forget_encoder_files(model: DictConfig) -> None:
     """Have no encoder of trained networks begin with a file of its own: it need not be there."""
-    for name in ("actor", "critic", "goal_network"):
+    for name in _NETWORKS:
         if OmegaConf.select(model, f"{name}.encoder.weights") is not None:
             model[name].encoder.weights = None
 
@@ -104,57 +91,12 @@ def check_frozen(model: DictConfig, untrained: Iterable[str]) -> None:
             )
 
 
-def join_policy(networks: dict[str, TensorDictModuleBase]) -> TensorDictModuleBase:
-    """What acts where no expert tells the goal: the actor, behind the goal network if there is one."""
-    if "goal_network" not in networks:
-        return networks["actor"]
-    modules: list = [networks["goal_network"], networks["actor"]]
-    return TensorDictSequential(*modules)
-
-
-def make_codec(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> CompactTransitions:
-    """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
-    states = list(cfg.replay.codec.state_keys)
-    read = {key for each in networks.values() for key in each.in_keys}
-    states += [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
-    codec = instantiate(cfg.replay.codec, state_keys=states)
-    if absent := read - {keys.ACTION} - set(codec.observation_keys):
-        raise ConfigError(
-            f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
-            "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "
-            "replay=images and transforms=rgbd; replay.codec.state_keys must name model.state_inputs."
-        )
-    return codec
-
-
 def check_state_inputs(model: DictConfig, shapes: Mapping[Any, tuple[int, ...]]) -> None:
     """Refuse further observations of another size than the environment's, whose shapes are given."""
-    for network in ("actor", "critic", "goal_network"):
+    for network in _NETWORKS:
         for key, size in (OmegaConf.select(model, f"{network}.state_inputs") or {}).items():
             if key in shapes and shapes[key] != (size,):
                 raise ConfigError(
                     f"model.{network}.state_inputs: {key}={size}, but {key} has the shape {shapes[key]}: "
                     "give the size of its only dimension."
                 )
-
-
-def make_row(
-    codec: CompactTransitions, augment: Transform | None, shapes: Mapping[Any, tuple[int, ...]]
-) -> TensorDictBase:
-    """A stored transition of observations of those shapes.
-
-    Read back and augmented once, so that what cannot be augmented is refused before anything is collected.
-    """
-    shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
-    if absent := [key for key in codec.observation_keys if key not in shapes]:
-        raise ConfigError(
-            f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, choose "
-            "transforms=rgb, rgbd or rgbdm with replay=images, and where table_plane is absent add "
-            "'+transforms.table={_target_: torchgrasp.transforms.TablePlane}' (where wrist_angle is, "
-            "transforms.wrist and WristAngle), or do without by model.table_input=false "
-            "model.state_inputs=null 'replay.codec.state_keys=[time_left]'."
-        )
-    row = codec.example_row(shapes)
-    if augment is not None:
-        augment(codec(row.copy()))
-    return row

@@ -4,44 +4,44 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import common
-from hydra.utils import instantiate
-from networks import join_policy, load_acting
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
 
+from torchgrasp.config.build import build
+from torchgrasp.config.environments import make_actions, make_expert, make_objects
+from torchgrasp.config.networks import load_acting
+from torchgrasp.modules.policy import join_policy
 from torchgrasp.planning import OpenLoopPolicy, RandomAction, Relay
+
+# What is evaluated besides trained policies; those of RELAYS need a learner.
+POLICIES = ("expert", "random", "planning", "combined", "takeover")
+RELAYS = ("combined", "takeover")
 
 
 def make_policy(cfg: DictConfig, name: str) -> TensorDictModuleBase:
-    """The policy `name`: one of `settings.POLICIES`, or a run directory or weights file."""
+    """The policy `name`: one of `POLICIES`, or a run directory or weights file."""
     if name == "expert":
-        return common.make_expert(cfg, "test")
+        return make_expert(cfg, "test")
     if name == "random":
-        return RandomAction(action_bound=common.make_actions(cfg).bound, seed=cfg.evaluation.seed)
+        return RandomAction(action_bound=make_actions(cfg).bound, seed=cfg.evaluation.seed)
     if name == "planning":
-        return make_planning(cfg)
+        return _make_planning(cfg)
     if name == "combined":
-        return _relay(cfg, name, make_planning(cfg), make_policy(cfg, str(cfg.learner)))
+        return _relay(cfg, name, _make_planning(cfg), make_policy(cfg, str(cfg.learner)))
     if name == "takeover":
-        return _relay(cfg, name, make_policy(cfg, str(cfg.learner)), common.make_expert(cfg, "test"))
-    return load_actor(Path(name))
+        return _relay(cfg, name, make_policy(cfg, str(cfg.learner)), make_expert(cfg, "test"))
+    return join_policy(load_acting(Path(name)))
 
 
-def make_planning(cfg: DictConfig) -> OpenLoopPolicy:
+def _make_planning(cfg: DictConfig) -> OpenLoopPolicy:
     """One planned trajectory an episode, for the objects of the evaluation."""
-    return instantiate(
+    return build(
         cfg.planning,
-        common.make_objects(cfg, "test"),
+        make_objects(cfg, "test"),
         horizon=cfg.env.horizon,
-        action_space=common.make_actions(cfg),
+        action_space=make_actions(cfg),
         seed=cfg.evaluation.seed,
     )
-
-
-def load_actor(path: Path) -> TensorDictModuleBase:
-    """The trained actor of a run directory or weights file, behind its goal network if it reads goals."""
-    return join_policy(load_acting(path))
 
 
 def _relay(cfg: DictConfig, name: str, first: TensorDictModuleBase, second: TensorDictModuleBase) -> Relay:

@@ -56,12 +56,12 @@ class SweepRecord(Callback):
             where = "" if job.run_dir is None else f" (go on with resume={job.run_dir})"
             print(f"  job {job.number} failed: {job.words}: {job.failure or 'it was killed'}{where}")
         if any(job.run_dir is not None for job in jobs if job.ended):
-            print(f"Compare them: python recipes/compare.py runs={folder}", flush=True)
+            print(f"Compare them: torchgrasp compare runs={folder}", flush=True)
         if bad:
             raise SystemExit(1)
 
 
-def note(run_dir: Path) -> None:
+def note_run(run_dir: Path) -> None:
     """In a job of a sweep, note the directory that it writes to."""
     config: Any = HydraConfig.instance().cfg
     place = _place(config)

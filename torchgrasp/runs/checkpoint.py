@@ -17,7 +17,8 @@ from torchgrasp.errors import CheckpointError
 from torchgrasp.runs.packing import pack_tree, unpack_tree
 
 _MANIFEST = "manifest.json"
-_FORMAT = 1
+# 2: what a learner, its run and its buffer hold stand in entries of their own.
+_FORMAT = 2
 _MAX_READS = 20
 _REMEDY = "restore the folder from a copy, or start a run without resume="
 
@@ -86,6 +87,16 @@ def has_checkpoint(path: str | Path) -> bool:
     return (find_folder(path) / _MANIFEST).is_file()
 
 
+def checkpoint_exists(run_dir: str | Path | None) -> bool:
+    """Whether there is a checkpoint in a run directory, whole or damaged: such a run does not begin anew."""
+    return run_dir is not None and find_folder(Path(run_dir) / "checkpoint").exists()
+
+
+def check_format(path: str | Path) -> None:
+    """Refuse the checkpoint at the folder `path` that another version wrote, or whose manifest is damaged."""
+    _read_manifest(find_folder(path))
+
+
 def _load_entry(folder: Path, name: str) -> Any:
     try:
         tree = json.loads((folder / f"{name}.json").read_text())
@@ -107,7 +118,8 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise CheckpointError(f"{file} is damaged ({error}): {_REMEDY}.") from error
     if version != _FORMAT:
         raise CheckpointError(
-            f"{file} has format {version}, this version reads {_FORMAT}: update torchgrasp."
+            f"{file} has format {version}, this version reads {_FORMAT}: go on with the torchgrasp that "
+            "wrote it, or begin a new run with init=<its run directory>."
         )
     return manifest
 

@@ -1,87 +1,84 @@
-"""Actor and critic together: what td3_bc and hindsight train."""
+"""Actor and critic together: TD3+BC with goal-auxiliary losses (Sec. 3.4, Eq. (3) to (5))."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from hydra.utils import instantiate
-from imitator import Imitator
-from omegaconf import DictConfig
 from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch.optim import Optimizer
 
-from torchgrasp.objectives import StaggeredTargetUpdate
+from torchgrasp.errors import check_whole
+from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
+from torchgrasp.training.imitation import ImitationLearner
 
 
-class Learner(Imitator):
-    """An Imitator with a critic, the losses of Eq. (3) to (5) and target networks.
+class ActorCriticLearner(ImitationLearner):
+    """An ImitationLearner with a critic, the losses of Eq. (3) to (5), and target networks.
+
+    The actor is due after every `policy_delay` critic updates, counted over the whole run and saved with it.
 
     Args:
-        cfg: the recipe's configuration.
-        shapes: of the observations, as `common.observed_shapes` tells them.
-        own: name of the source that the run's episodes are added to.
+        networks: by name: `actor`, `critic`, with `goal_network` where the actor reads goals.
+        loss: of actor and critic.
+        targets: of the loss.
+        imitation: of the actor alone.
+        optimizers: one for each network, under its name.
+        policy_delay: critic updates an actor update (Sec. 6.4: 2).
+        grasp_prediction: of the goal network, where there is one.
     """
 
     def __init__(
-        self, cfg: DictConfig, shapes: Mapping[Any, tuple[int, ...]], *, own: str = "online"
+        self,
+        networks: Mapping[str, TensorDictModuleBase],
+        *,
+        loss: GraspTD3BCLoss,
+        targets: StaggeredTargetUpdate,
+        imitation: PoseBCLoss,
+        optimizers: Mapping[str, Optimizer],
+        policy_delay: int = 2,
+        grasp_prediction: GoalAuxLoss | None = None,
     ) -> None:
-        super().__init__(cfg, shapes, critic=True, own=own)
+        super().__init__(
+            networks, imitation=imitation, optimizers=optimizers, grasp_prediction=grasp_prediction
+        )
+        check_whole("policy_delay", policy_delay, 1)
+        self.loss, self.targets, self.policy_delay = loss, targets, policy_delay
+        self.critic_updates = 0
 
-    def _make_losses(self) -> None:
-        cfg, self.critic = self.cfg, self.networks["critic"]
-        self.loss = instantiate(cfg.loss, self.actor, self.critic).to(cfg.device)
-        self.loss.make_value_estimator(gamma=cfg.online.gamma)
-        self.targets = StaggeredTargetUpdate(self.loss, tau=cfg.online.tau, period=cfg.online.period)
-        super()._make_losses()
+    @property
+    def actor_is_due(self) -> bool:
+        """Whether the critic has been updated often enough for the next update of the actor."""
+        return self.critic_updates % self.policy_delay == 0
 
-    def _distances(self) -> tuple[Any, Any]:
-        return self.loss.distance, self.loss.goal_distance
+    def copy_to_targets(self) -> None:
+        """Let the targets know what imitation has taught."""
+        self.targets.copy()
 
-    def begin_reinforcement(self) -> None:
-        """Draw from all sources, with targets that know what imitation has taught."""
-        self.experience.draw_all()
-        if self.iterations == 0:
-            self.targets.copy()
-
-    def pretrain(self, batch: TensorDictBase) -> dict[str, float]:
-        """One update of imitation, and one of the critic where configured."""
-        metrics = super().pretrain(batch)
-        return metrics | self._learn_values(batch) if self.cfg.pretrain.critic else metrics
-
-    def reinforce(self) -> dict[str, float]:
-        """The updates of an iteration: the critic's, and one of the actor every `online.policy_delay`.
-
-        During the first `online.critic_warmup` iterations the critic learns alone.
-        """
-        metrics: dict[str, float] = {}
-        actor_learns = self.iterations >= self.cfg.online.critic_warmup
-        for update in range(1, self.updates_ahead + 1):
-            batch = self.experience.sample()
-            metrics |= self.update_critic(batch)
-            if actor_learns and update % self.cfg.online.policy_delay == 0:
-                metrics |= self.update_actor(batch)
-        return metrics
-
-    def update_critic(self, batch: TensorDictBase) -> dict[str, float]:
-        """One update after Eq. (3), and the targets' step."""
-        self.gradient_steps += 1
-        return self._learn_values(batch)
-
-    def _learn_values(self, batch: TensorDictBase) -> dict[str, float]:
-        metrics = self._descend("critic", self.loss.critic_loss(batch))
-        self.buffer.update_tensordict_priority(batch)
+    def update_critic(self, batch: TensorDictBase) -> None:
+        """One update after Eq. (3) on a batch (B), which gets a `td_error`, and the targets' step."""
+        self._descend("critic", self.loss.critic_loss(batch))
         self.targets.step()
-        return metrics
+        self.critic_updates += 1
 
-    def update_actor(self, batch: TensorDictBase) -> dict[str, float]:
-        """One update after Eq. (4), and one of the goal network where there is one."""
-        return self._descend("actor", self.loss.actor_loss(batch)) | self._update_goal_network(batch)
+    def update_actor(self, batch: TensorDictBase) -> None:
+        """One update after Eq. (4) on a batch (B), and one of the goal network where there is one."""
+        self._descend("actor", self.loss.actor_loss(batch))
+        self._update_goal_network(batch)
 
-    def _state(self) -> dict[str, Any]:
-        state = super()._state()
-        return {**state, "loss": self.loss.state_dict(), "targets": self.targets.state_dict()}
+    def state_dict(self) -> dict[str, Any]:
+        """Networks, optimizers, targets and the count of critic updates."""
+        return {
+            **super().state_dict(),
+            "loss": self.loss.state_dict(),
+            "targets": self.targets.state_dict(),
+            "critic_updates": self.critic_updates,
+        }
 
-    def _take_up(self, state: dict) -> None:
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Take up what `state_dict` gave; KeyError or RuntimeError where it is of other networks."""
         self.loss.load_state_dict(state["loss"])
         self.targets.load_state_dict(state["targets"])
-        super()._take_up(state)
+        super().load_state_dict(state)
+        self.critic_updates = state["critic_updates"]

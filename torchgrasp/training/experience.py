@@ -1,75 +1,85 @@
-"""The replay buffer of a run: its demonstrations, and the episodes of its own that are added."""
+"""What a run learns from: its demonstrations, and the episodes of its own that are added."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from hydra.utils import instantiate
-from networks import check_state_inputs, make_codec, make_row
-from omegaconf import DictConfig
-from origin import check_rows
-from sources import Source, count_steps, list_demonstrations, share_batch
+import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.transforms import Transform
 
-from torchgrasp.data import MixtureReplayBuffer, Priority, estimate_bytes, open_demonstrations
-from torchgrasp.data.buffer_memory import check_space, count_row_bytes
+from torchgrasp.data import (
+    CompactTransitions,
+    MixtureReplayBuffer,
+    Priority,
+    estimate_bytes,
+    open_demonstrations,
+)
 from torchgrasp.data.demonstration_kinds import COUNTED
+from torchgrasp.data.demonstration_sources import DemonstrationSource, check_rows
+from torchgrasp.data.demonstrations import Demonstrations
+from torchgrasp.data.shares import share_batch
 from torchgrasp.errors import ConfigError
-from torchgrasp.rollouts.episode_pool import Episode
 
+# What a summary tells of the card of demonstrations.
 _TOLD = ("kind", "episodes", "successes", "steps", "successful_steps", "bytes")
 
 
 class Experience:
-    """What a run learns from; refuses at once what would not fit the memory once it is collected.
+    """A replay buffer with a source for the run's own episodes, and one for each folder of demonstrations.
 
     Args:
-        cfg: the recipe's configuration.
-        networks: by name; what they read is stored.
-        shapes: of the observations, as `common.observed_shapes` tells them.
         own: name of the source that episodes are added to.
+        capacity: transitions of that source; 0 where no episode is added.
+        row: an encoded transition (1), as `CompactTransitions.example_row` gives it.
+        codec: how transitions are stored.
+        batch_size: of a batch.
+        own_share: of a batch that is drawn from own episodes, in [0, 1].
+        seed: of the draws.
+        augment: a transform of sampled batches; its inverse of episodes as they are added.
+        priority: None draws uniformly within a source.
+        folder: keeps the transitions on disk there.
+        device: that batches are moved to.
     """
 
     def __init__(
         self,
-        cfg: DictConfig,
-        networks: Mapping[str, TensorDictModuleBase],
-        shapes: Mapping[Any, tuple[int, ...]],
+        own: str,
         *,
-        own: str = "online",
+        capacity: int,
+        row: TensorDictBase,
+        codec: CompactTransitions,
+        batch_size: int,
+        own_share: float,
+        seed: int,
+        augment: Transform | None = None,
+        priority: Priority | None = None,
+        folder: str | None = None,
+        device: torch.device | str = "cpu",
     ) -> None:
-        self._cfg, self.own = cfg, own
-        self.codec = make_codec(cfg, networks)
-        self._augment = instantiate(cfg.replay.augment)
-        self.row = make_row(self.codec, self._augment, shapes)
-        check_state_inputs(cfg.model, shapes)
-        self.priority: Priority | None = instantiate(cfg.replay.priority)
-        # Offline nothing is added, and a source has room for at least one row.
-        self._own_rows = 1 if cfg.offline.updates else int(cfg.replay.online_capacity)
-        row_bytes = count_row_bytes(self.row, prioritised=self.priority is not None)
-        asked = count_steps(list_demonstrations(cfg).values())
-        check_space(self._own_rows + asked, row_bytes, folder=cfg.replay.folder)  # before hours of collecting
+        self.own, self.codec, self.row, self.priority = own, codec, row, priority
+        self._capacity, self._batch_size, self._own_share = capacity, batch_size, own_share
+        self._seed, self._augment, self._folder, self._device = seed, augment, folder, device
         self.buffer: MixtureReplayBuffer
+        self._sources: list[DemonstrationSource] = []
+        self._opened: dict[str, Demonstrations] = {}
 
-    def make_buffer(self, sources: Sequence[Source]) -> None:
-        """An empty buffer with room for the demonstrations of the sources."""
-        cfg, prioritised = self._cfg, self.priority is not None
+    def make_buffer(self, sources: Sequence[DemonstrationSource]) -> None:
+        """An empty buffer with room for the demonstrations of the sources, which must fit `row`."""
         self._sources, self._opened = list(sources), {}
         for source in sources:
             self._opened[source.name] = open_demonstrations(source.path)
             check_rows(self._opened[source.name], self.row)
         rows = {name: opened.card["rows"] for name, opened in self._opened.items()}
-        capacities = {self.own: self._own_rows, **rows}
-        size = estimate_bytes(sum(capacities.values()), self.row, prioritised=prioritised)
+        capacities = {self.own: max(1, self._capacity), **rows}
+        size = estimate_bytes(sum(capacities.values()), self.row, prioritised=self.priority is not None)
         print(f"Replay buffer: up to {size / 1e9:.2f} GB for {capacities} transitions")
         self.buffer = MixtureReplayBuffer(
             capacities,
-            share_batch(self.own, cfg.replay.online_fraction, self._weigh()),
-            batch_size=cfg.replay.batch_size,
-            seed=cfg.seed,
-            folder=cfg.replay.folder,
+            share_batch(self.own, self._own_share, self._weigh()),
+            batch_size=self._batch_size,
+            seed=self._seed,
+            folder=self._folder,
             row=self.row,
             priority=self.priority,
             codec=self.codec,
@@ -85,8 +95,7 @@ class Experience:
             weights[each.name] = float(weight) if each.labels or not labelled else 0.0
         if not sum(weights.values()):
             raise ConfigError(
-                "No demonstrations are left to learn from: give one of them demonstrations.labels=true and a "
-                "demonstrations.weight above 0."
+                "No demonstrations are left to learn from: give one of them labels=true and a weight above 0."
             )
         return weights
 
@@ -96,22 +105,31 @@ class Experience:
             for rows in self._opened[source.name].iterate_rows():
                 self.buffer.extend_rows(source.choose(rows), source=source.name)
 
-    def add(self, episode: Episode) -> None:
-        """Add an episode of this run."""
-        self.buffer.extend(episode.steps[None], source=self.own)
+    def add(self, steps: TensorDictBase) -> None:
+        """Add an episode's steps (T) to the run's own."""
+        self.buffer.extend(steps[None], source=self.own)
 
     def draw_demonstrations(self) -> None:
         """From the next batch on, draw from demonstrations with labels alone."""
         self.buffer.set_shares(share_batch(self.own, 0.0, self._weigh(labelled=True)))
 
     def draw_all(self, *, labelled: bool = False) -> None:
-        """From the next batch on, draw as configured, on demand from demonstrations with labels alone."""
-        fraction = 0.0 if self._cfg.offline.updates else self._cfg.replay.online_fraction
-        self.buffer.set_shares(share_batch(self.own, fraction, self._weigh(labelled=labelled)))
+        """From the next batch on, draw from own episodes too; on demand from labelled sources alone."""
+        own_share = self._own_share if self._capacity else 0.0
+        self.buffer.set_shares(share_batch(self.own, own_share, self._weigh(labelled=labelled)))
 
     def sample(self, batch_size: int | None = None) -> TensorDictBase:
-        """A batch (B) on the device of the networks."""
-        return self.buffer.sample(batch_size).to(self._cfg.device)
+        """A batch (B) on the device; as many as the buffer's own batches have by default."""
+        return self.buffer.sample(batch_size).to(self._device)
+
+    def update_priorities(self, batch: TensorDictBase) -> None:
+        """Draw a batch (B) by its `td_error` from now on, where there is a priority."""
+        self.buffer.update_tensordict_priority(batch)
+
+    def anneal(self, progress: float) -> None:
+        """Raise beta to 1 over a run (Schaul et al. 2016, Sec. 3.4); `progress` in [0, 1]."""
+        if self.priority is not None:
+            self.buffer.beta = self.priority.beta + progress * (1.0 - self.priority.beta)
 
     def describe(self) -> dict:
         """Kind, episodes, successes, steps and bytes of the demonstrations, and of further ones by name."""

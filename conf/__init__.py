@@ -1,0 +1,1 @@
+"""Hydra's configuration files. Installed, they are `torchgrasp.conf`; there is no code here."""

@@ -1,0 +1,36 @@
+"""The end of a training run: what its policy does, beside what was measured before and the baselines."""
+
+from __future__ import annotations
+
+from torchgrasp.config.grasp_prediction import predict_grasps
+from torchgrasp.config.policies import make_policy
+from torchgrasp.config.report_page import describe_scenes, write_page
+from torchgrasp.config.run import Run
+from torchgrasp.evaluation.grasp_prediction import find_predictors
+from torchgrasp.report.console import print_comparison, print_grasp_prediction
+from torchgrasp.report.episode_pictures import FailurePictures, GraspPictures
+from torchgrasp.runs import write_summary
+
+
+def conclude(run: Run) -> dict:
+    """Measure the policy and the baselines on the same scenes; write and print the summary, and return it."""
+    cfg, learner = run.cfg, run.learner
+    failed, predicted = FailurePictures(), GraspPictures()
+    tables = {"policy": run.evaluate(learner.policy, "policy", watch=failed.add)}
+    tables |= run.results
+    for name in cfg.evaluation.baselines:
+        tables[name] = run.evaluate(make_policy(cfg, name), name)
+    run.log.log(run.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
+    scenes = describe_scenes(cfg)
+    summary = {**tables["policy"], "scenes": scenes, "comparison": tables, **run.describe()}
+    pictures = {"Failed episodes": failed.pictures}
+    if cfg.evaluation.grasp_prediction:
+        predictors = find_predictors(learner.networks)
+        summary["grasp_prediction"] = predict_grasps(cfg, run.pool, predictors, predicted.add)
+        pictures = {"Predicted grasps": predicted.pictures, **pictures}
+    summary = write_summary(run.folder, summary)
+    write_page(cfg, run.folder, summary, pictures)
+    print_comparison(tables, episodes=cfg.evaluation.episodes, scenes=scenes)
+    print_grasp_prediction(summary)
+    print(f"{run.wall_seconds / 60:.1f} minutes. In {run.folder}: report.html and what it was made of")
+    return summary

@@ -1,0 +1,77 @@
+"""The configuration of an evaluation: what a trained policy brings along, then what was given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from omegaconf import DictConfig
+
+from torchgrasp.config.overrides import copy, given_names, given_values, merge
+from torchgrasp.config.policies import POLICIES, RELAYS
+from torchgrasp.config.schema import Evaluate, check_values
+from torchgrasp.config.weights_files import brought_along, check_weights
+from torchgrasp.errors import ConfigError
+from torchgrasp.evaluation.protocols import find_protocol
+
+# The tabletop protocol's fixed start, unless start=varied says otherwise.
+_TABLETOP = {"_target_": "torchgrasp.envs.TabletopStart", "spread": 0.0}
+# What a trained policy brings along; its transforms name the number of points.
+_BROUGHT = ("model", "camera", "overhead", "transforms")
+
+
+def evaluation_config(cfg: DictConfig) -> DictConfig:
+    """The checked configuration of recipes/evaluate.py with its protocol and its policy's own parts."""
+    cfg = _follow_protocol(copy(cfg))
+    check_values(cfg, Evaluate)
+    option, path = _find_learned(cfg)
+    if path is not None:
+        cfg = _bring_along(cfg, option, path)
+    # objects.split=... and objects.num_objects=... say which objects, as everywhere.
+    chosen = {
+        name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in given_names()
+    }
+    own = {"episodes": cfg.episodes, "seed": cfg.seed}
+    return merge(cfg, {"evaluation": {**own, **chosen}})
+
+
+def _follow_protocol(cfg: DictConfig) -> DictConfig:
+    """The configuration with what its protocol changes, where nothing else was given."""
+    protocol, given = find_protocol(cfg.protocol), given_names()
+    if protocol.target_motion is not None and "env.target_motion" not in given:
+        cfg.env.target_motion = protocol.target_motion
+    if protocol.tabletop and cfg.env.start._target_ != _TABLETOP["_target_"]:
+        if any(name.startswith("env.start") for name in given):
+            raise ConfigError("protocol=tabletop has a start of its own: add start=fixed or start=varied.")
+        cfg.env.start = _TABLETOP
+    return cfg
+
+
+def _bring_along(cfg: DictConfig, option: str, path: Path) -> DictConfig:
+    """The configuration with what the weights at `path` were trained with, then what was given."""
+    brought = brought_along(path, list(cfg.trust))
+    kept = {name: brought.get(name) for name in _BROUGHT}
+    fixed = (*kept, "num_points")
+    given = given_values(f"{option}={path}, which brings {', '.join(fixed)} along,", fixed=fixed)
+    task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
+    plain = {key: value for key, value in cfg.items() if key not in kept}
+    seen = {"num_points": brought.get("num_points", cfg.num_points)}
+    return merge(plain, {**kept, "env": task}, given, seen)
+
+
+def _find_learned(cfg: DictConfig) -> tuple[str, Path | None]:
+    """The option that names what is trained, and its run directory or weights file; None without any."""
+    policy, learner = str(cfg.policy), cfg.learner
+    if policy in RELAYS:
+        if learner is None:
+            raise ConfigError(
+                f"policy={policy} needs a learner: add learner=<run dir or weights file>, or random."
+            )
+        option, name, named = "learner", str(learner), ("random",)
+    elif learner is not None:
+        raise ConfigError(f"learner={learner} does not go with policy={policy}: give {' or '.join(RELAYS)}.")
+    else:
+        option, name, named = "policy", policy, POLICIES
+    if name in named:
+        return option, None
+    check_weights(option, name, *named)
+    return option, Path(name)

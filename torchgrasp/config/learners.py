@@ -1,0 +1,79 @@
+"""Learners, composed of the networks, losses and optimizers of a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from tensordict.nn import TensorDictModuleBase
+from torch.optim import Adam
+
+from torchgrasp import keys
+from torchgrasp.config.build import build
+from torchgrasp.config.networks import begin_networks, make_networks
+from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
+from torchgrasp.modules.goal_keys import predicts_goal
+from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate, functional
+from torchgrasp.objectives.base import Distance
+from torchgrasp.runs.checkpoint import checkpoint_exists
+from torchgrasp.training import ActorCriticLearner, ImitationLearner
+
+
+def make_imitation_learner(cfg: DictConfig) -> ImitationLearner:
+    """Actor, and goal network where the actor reads goals, at their first weights or those of `init`."""
+    networks = _first_networks(cfg, critic=False)
+    imitation = _make_imitation(cfg, networks, *_distances(cfg.loss))
+    return ImitationLearner(networks, **imitation, optimizers=_make_optimizers(networks))
+
+
+def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
+    """Actor, critic, and goal network where the actor reads goals, with the losses of Eq. (3) to (5)."""
+    networks = _first_networks(cfg, critic=True)
+    loss = build(cfg.loss, networks["actor"], networks["critic"]).to(cfg.device)
+    loss.make_value_estimator(gamma=cfg.online.gamma)
+    return ActorCriticLearner(
+        networks,
+        loss=loss,
+        targets=StaggeredTargetUpdate(loss, tau=cfg.online.tau, period=cfg.online.period),
+        **_make_imitation(cfg, networks, loss.distance, loss.goal_distance),
+        optimizers=_make_optimizers(networks),
+        policy_delay=cfg.online.policy_delay,
+    )
+
+
+def _first_networks(cfg: DictConfig, *, critic: bool) -> dict[str, TensorDictModuleBase]:
+    """The networks on their device; a run that goes on has weights of its own."""
+    networks = {name: each.to(cfg.device) for name, each in make_networks(cfg.model, critic=critic).items()}
+    if not checkpoint_exists(cfg.resume):
+        begin_networks(cfg, networks)
+    return networks
+
+
+def _make_optimizers(networks: Mapping[str, TensorDictModuleBase]) -> dict[str, Adam]:
+    return {name: Adam(each.parameters()) for name, each in networks.items()}
+
+
+def _make_imitation(
+    cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase], distance: Distance, goal_distance: Distance
+) -> dict[str, Any]:
+    """The losses of imitation, by argument of the learner."""
+    for measure, size in ((distance, ACTION_SIZE), (goal_distance, GOAL_SIZE)):
+        # Refuses a wrong norm before anything is collected.
+        measure(torch.ones(1, size), torch.ones(1, size))
+    actor, grasp_prediction = networks["actor"], None
+    if "goal_network" in networks:
+        grasp_prediction = GoalAuxLoss(networks["goal_network"], distance=goal_distance)
+        grasp_prediction.set_keys(goal_prediction=keys.GOAL)
+    aux_weight = cfg.pretrain.aux_weight if predicts_goal(actor) else 0.0
+    imitation = PoseBCLoss(actor, distance=distance, aux_weight=aux_weight, goal_distance=goal_distance)
+    return {"imitation": imitation, "grasp_prediction": grasp_prediction}
+
+
+def _distances(loss: DictConfig) -> tuple[Distance, Distance]:
+    """L_POSE between actions and between goals, as `loss` has them."""
+    defaults = {"distance": functional.action_distance, "goal_distance": functional.goal_distance}
+    chosen = {name: OmegaConf.select(loss, name) for name in defaults}
+    action, goal = (defaults[name] if each is None else build(each) for name, each in chosen.items())
+    return action, goal

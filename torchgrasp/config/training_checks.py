@@ -1,0 +1,44 @@
+"""Checks of a training configuration that need more than one value of it."""
+
+from __future__ import annotations
+
+from omegaconf import DictConfig
+
+from torchgrasp.config.build import at_place
+from torchgrasp.config.demonstration_sources import list_demonstrations
+from torchgrasp.config.exploration import check_demonstrators
+from torchgrasp.config.schema import Training, check_values
+from torchgrasp.config.weights_files import check_weights
+from torchgrasp.data import count_shards
+from torchgrasp.data.demonstration_kinds import check_kind, resolve_count
+from torchgrasp.errors import ConfigError
+from torchgrasp.runs.checkpoint import checkpoint_exists
+
+
+def check_training(cfg: DictConfig) -> None:
+    """Refuse what no training can work with: each value by itself, and demonstrations and weights named."""
+    check_values(cfg, Training)
+    if cfg.offline.updates == "auto" and not cfg.total_env_steps:
+        raise ConfigError(
+            "offline.updates=auto makes as many as total_env_steps would, which is 0: give their number."
+        )
+    for each in list_demonstrations(cfg).values():
+        _check_demonstrations(each.demonstrations)
+        check_demonstrators(each)
+    if cfg.init is not None and not checkpoint_exists(cfg.resume):
+        check_weights("init", str(cfg.init))
+
+
+def _check_demonstrations(demonstrations: DictConfig) -> None:
+    """Refuse a kind, a count and a policy that do not go together."""
+    kind, policy = demonstrations.kind, demonstrations.policy
+    with at_place("demonstrations"):
+        resolve_count(demonstrations.count, check_kind(kind))
+    given = demonstrations.path is not None and count_shards(demonstrations.path) > 0
+    if (kind == "learner") != (policy is not None) and not (given and policy is None):
+        raise ConfigError(
+            f"demonstrations.kind={kind} with demonstrations.policy={policy}: the kind learner needs a "
+            "policy, a run directory or weights file; no other kind takes one."
+        )
+    if policy is not None:
+        check_weights("demonstrations.policy", str(policy))
