@@ -3,7 +3,34 @@ import math
 import pytest
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.evaluation.intervals import mean_interval, newcombe_interval, welch_interval
+from torchgrasp.evaluation.intervals import mean_interval, newcombe_interval, welch_interval, wilson_interval
+
+
+@pytest.mark.parametrize(
+    ("successes", "n", "low", "high"),
+    [
+        # Computed by hand from the formula with z = 1.959964.
+        (5, 10, 0.2366, 0.7634),
+        (81, 100, 0.7222, 0.8749),
+        (0, 10, 0.0, 0.2775),
+        (10, 10, 0.7225, 1.0),
+        (0, 0, 0.0, 1.0),
+    ],
+)
+def test_wilson_interval_against_known_values(successes, n, low, high):
+    assert wilson_interval(successes, n) == pytest.approx((low, high), abs=1e-4)
+
+
+@pytest.mark.parametrize("n", [1, 7, 200, 33_333])
+def test_wilson_interval_ends_exactly_where_all_or_none_succeeded(n):
+    assert wilson_interval(0, n)[0] == 0.0 and wilson_interval(n, n)[1] == 1.0
+
+
+def test_wilson_interval_is_symmetric_and_widens_with_confidence():
+    low, high = wilson_interval(3, 20)
+    assert wilson_interval(17, 20) == pytest.approx((1 - high, 1 - low))
+    wide = wilson_interval(3, 20, confidence=0.99)
+    assert wide[0] < low < 3 / 20 < high < wide[1]
 
 
 @pytest.mark.parametrize(
@@ -44,7 +71,14 @@ def test_welchs_interval_by_hand():
     # Equal variances and sizes: 2 (n - 1) = 4 degrees, t(0.975, 4) = 2.776445, both s² / n = 1 / 3.
     half = 2.776445 * math.sqrt(2 / 3)
     assert welch_interval([1.0, 2.0, 3.0], [5.0, 6.0, 7.0]) == pytest.approx((-4 - half, -4 + half), abs=1e-5)
-    assert welch_interval([0.5, 0.5], [0.25, 0.25]) == (0.25, 0.25)
+
+
+def test_equal_values_have_an_interval_without_width_and_no_warning(recwarn):
+    assert welch_interval([0.5, 0.5], [0.25, 0.25, 0.25]) == (0.25, 0.25)
+    assert mean_interval([0.5, 0.5]) == (0.5, 0.5)
+    low, high = welch_interval([0.5, 0.5], [0.25, 0.35])  # one degree of freedom: t(0.975, 1) = 12.706205
+    assert (low, high) == pytest.approx((0.2 - 12.706205 * 0.05, 0.2 + 12.706205 * 0.05), abs=1e-6)
+    assert not recwarn.list
 
 
 @pytest.mark.parametrize("values", [[], [0.5]])

@@ -73,7 +73,7 @@ def test_what_a_resumed_run_did_again_holds(tmp_path):
 
 
 def test_what_the_logger_writes_is_read_and_a_cut_line_left_out(tmp_path):
-    logger = MetricsLogger(tmp_path, tensorboard=False)
+    logger = MetricsLogger(tmp_path)
     logger.log(0, {"loss": 1 / 3})
     logger.log(7, {"loss": 2, "a, b": 0.5})
     with (tmp_path / "metrics.csv").open("a") as stream:

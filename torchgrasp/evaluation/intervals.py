@@ -1,34 +1,34 @@
-"""Intervals of means and of differences, over seeds (t) and over episodes (Newcombe)."""
+"""Intervals of rates, of means and of differences: over episodes (Wilson, Newcombe) and over seeds (t).
+
+scipy.stats is imported where it is used: it takes longer to import than the rest of the package.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from statistics import NormalDist
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
-from scipy.stats import t as student
 
 from torchgrasp.errors import ConfigError
 
 Interval = tuple[float, float]
 
 
-def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> tuple[float, float]:
+def wilson_interval(successes: int, n: int, confidence: float = 0.95) -> Interval:
     """(low, high) of Wilson's score interval for a success rate; (0, 1) where nothing was tried.
 
     >>> [round(bound, 3) for bound in wilson_interval(264, 272)]
     [0.943, 0.985]
     """
+    from scipy.stats import binomtest
+
     if n == 0:
         return 0.0, 1.0
-    z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    rate = successes / n
-    centre = (rate + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * math.sqrt(rate * (1 - rate) / n + z * z / (4 * n * n))
-    # Exactly 0 and 1 at the ends, where rounding would leave a residue.
-    low = 0.0 if successes == 0 else max(0.0, centre - half)
-    return low, 1.0 if successes == n else min(1.0, centre + half)
+    found = binomtest(successes, n).proportion_ci(confidence, method="wilson")
+    return float(found.low), float(found.high)
 
 
 def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Interval:
@@ -39,22 +39,24 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Interval
     >>> [round(bound, 3) for bound in mean_interval([0.1, 0.2, 0.3])]
     [-0.048, 0.448]
     """
+    from scipy.stats import ttest_1samp
+
     _need_two(values)
-    half = float(student.ppf(0.5 + confidence / 2, len(values) - 1)) * _standard_error(values)
-    return float(np.mean(values)) - half, float(np.mean(values)) + half
+    with _equal_values_allowed():
+        found = ttest_1samp(np.asarray(values), 0.0).confidence_interval(confidence)
+    return float(found.low), float(found.high)
 
 
 def welch_interval(values: Sequence[float], base: Sequence[float], confidence: float = 0.95) -> Interval:
     """Welch's (1947) interval of the mean of `values` minus that of `base`, of unequal variances."""
+    from scipy.stats import ttest_ind
+
     _need_two(values)
     _need_two(base)
-    parts = [_standard_error(each) ** 2 for each in (values, base)]
-    difference, total = float(np.mean(values) - np.mean(base)), sum(parts)
-    if total == 0.0:
-        return difference, difference
-    weights = [part**2 / (len(each) - 1) for part, each in zip(parts, (values, base), strict=True)]
-    half = float(student.ppf(0.5 + confidence / 2, total**2 / sum(weights))) * math.sqrt(total)
-    return difference - half, difference + half
+    with _equal_values_allowed():
+        test = ttest_ind(np.asarray(values), np.asarray(base), equal_var=False)
+        found = test.confidence_interval(confidence)
+    return float(found.low), float(found.high)
 
 
 def newcombe_interval(
@@ -62,7 +64,8 @@ def newcombe_interval(
 ) -> Interval:
     """Newcombe's hybrid score interval of a success rate minus another (Newcombe 1998, method 10).
 
-    Every episode counts as independent of the others: the interval knows nothing of seeds.
+    Every episode counts as independent of the others: the interval knows nothing of seeds. scipy has no
+    interval of a difference of two proportions.
 
     >>> [round(bound, 4) for bound in newcombe_interval(56, 70, 48, 80)]
     [0.0524, 0.3339]
@@ -75,8 +78,12 @@ def newcombe_interval(
     return rate - base - below, rate - base + above
 
 
-def _standard_error(values: Sequence[float]) -> float:
-    return float(np.std(values, ddof=1)) / math.sqrt(len(values))
+@contextmanager
+def _equal_values_allowed() -> Iterator[None]:
+    """Without scipy's warning that the p-value, which nobody asks for, is unreliable for equal values."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
 
 
 def _need_two(values: Sequence[float]) -> None:

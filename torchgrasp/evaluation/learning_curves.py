@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -116,22 +118,16 @@ def average_curves(curves: Sequence[Curve]) -> LearningCurve:
 
 def write_curves_csv(path: str | Path, curves: Mapping[str, LearningCurve], *, x: str = "step") -> None:
     """Write a table with a row a point: label, `x`, mean, std (empty for a single run), runs."""
-    lines = [f"label,{x},mean,std,runs"]
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(("label", x, "mean", "std", "runs"))
     for label, curve in curves.items():
-        for at, mean, std in zip(curve.x, curve.mean, curve.std, strict=True):
-            spread = "" if np.isnan(std) else repr(float(std))
-            lines.append(f"{_quote(label)},{_number(at)},{float(mean)!r},{spread},{curve.runs}")
-    write_text_atomically(path, "\n".join(lines) + "\n")
-
-
-def _quote(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"\r\n') else text
+        for at, mean, std in zip(curve.x.tolist(), curve.mean.tolist(), curve.std.tolist(), strict=True):
+            spread = "" if math.isnan(std) else std
+            writer.writerow((label, int(at) if at.is_integer() else at, mean, spread, curve.runs))
+    write_text_atomically(path, stream.getvalue())
 
 
 def _read_cell(text: str) -> float:
     value = float(text or "nan")
     return value if not text or np.isfinite(value) else np.inf
-
-
-def _number(value: float) -> str:
-    return str(int(value)) if float(value).is_integer() else repr(float(value))

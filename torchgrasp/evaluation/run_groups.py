@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import glob
-import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-from omegaconf import DictConfig, ListConfig
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.runs.sweep_record import SweepJob, group_jobs, read_sweep
 
+# A run directory, the folder of a sweep or a pattern of either, or several of them.
+Runs = str | list[str] | tuple[str, ...]
 
-def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]:
+
+def find_groups(runs: Runs | Mapping[str, Runs], *, label: str, holding: str) -> dict[str, list[Path]]:
     """Run directories by label, each once, in the order given.
 
     Args:
@@ -22,9 +22,9 @@ def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]
         label: of runs that are given without one.
         holding: a file that a directory holds where a pattern means it: other recipes' may lie beside.
     """
-    if isinstance(runs, DictConfig):
+    if isinstance(runs, Mapping):
         return {str(name): _find(str(name), group, holding) for name, group in runs.items()}
-    jobs = read_sweep(str(runs)) if isinstance(runs, str) and Path(runs).is_dir() else []
+    jobs = read_sweep(runs) if isinstance(runs, str) and Path(runs).is_dir() else []
     if not jobs:
         return {label: _find(label, runs, holding)}
     groups = {name: _runs_of(group) for name, group in group_jobs(jobs).items()}
@@ -33,14 +33,8 @@ def find_groups(runs: Any, *, label: str, holding: str) -> dict[str, list[Path]]
     return {name: group for name, group in groups.items() if group}
 
 
-def unquote_labels(arguments: list[str]) -> list[str]:
-    """A command line whose `runs={"a label": ...}` has its labels without quotes, as Hydra wants them."""
-    quoted = re.compile(r"""([{,]\s*)(["'])([^"']+)\2(\s*:)""")
-    return [quoted.sub(r"\1\3\4", each) if each.startswith("runs={") else each for each in arguments]
-
-
-def _find(label: str, group: Any, holding: str) -> list[Path]:
-    patterns = [str(each) for each in (group if isinstance(group, list | ListConfig) else [group])]
+def _find(label: str, group: Runs, holding: str) -> list[Path]:
+    patterns = [str(each) for each in (group if isinstance(group, list | tuple) else [group])]
     found: dict[Path, Path] = {}
     for pattern in patterns:
         matches = [run for each in sorted(glob.glob(pattern)) for run in _runs_at(Path(each))]

@@ -3,37 +3,40 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping
 from pathlib import Path
-
-from torch.utils.tensorboard import SummaryWriter
+from typing import TYPE_CHECKING
 
 from torchgrasp.data.files import write_text_atomically
 from torchgrasp.errors import CheckpointError
 
+if TYPE_CHECKING:
+    from torchrl.record.loggers import Logger
+
 
 class MetricsLogger:
-    """Appends rows of numbers to `<run_dir>/metrics.csv`, and to TensorBoard.
+    """Appends rows of numbers to `<run_dir>/metrics.csv`, and hands them on to a logger of TorchRL.
 
-    The first column is `step`. A metric that appears later adds a column, empty in earlier rows.
+    The first column is `step`. A metric that appears later adds a column, empty in earlier rows. TorchRL's
+    own CSVLogger has a file for each metric, and no resume.
 
     Args:
-        run_dir: made if missing; TensorBoard's files go to its folder `tensorboard`.
+        run_dir: made if missing.
         resume_step: rows at and after this step, written after the checkpoint that a run resumes
             from, are dropped. None starts a new file.
-        tensorboard: False writes the CSV only.
+        logger: of `make_logger` or any other of TorchRL; `close` closes it too.
     """
 
     def __init__(
-        self, run_dir: str | Path, *, resume_step: int | None = None, tensorboard: bool = True
+        self, run_dir: str | Path, *, resume_step: int | None = None, logger: Logger | None = None
     ) -> None:
         self._path = Path(run_dir) / "metrics.csv"
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._columns = ["step"]
         self._rewrite(self._read_rows(resume_step))
-        folder = str(Path(run_dir) / "tensorboard")
-        self._writer = SummaryWriter(folder, purge_step=resume_step) if tensorboard else None
+        self._logger = logger
 
     def log(self, step: int, metrics: Mapping[str, float]) -> None:
         """Write one row, flushed to disk."""
@@ -45,14 +48,14 @@ class MetricsLogger:
         row = {"step": step, **{name: _to_text(value) for name, value in metrics.items()}}
         with self._path.open("a", newline="") as stream:
             csv.DictWriter(stream, self._columns, restval="").writerow(row)
-        for name, value in metrics.items():
-            if self._writer is not None:
-                self._writer.add_scalar(name, float(value), step)
+        if self._logger is not None:
+            # All at once: in W&B a row for each step, in MLflow one request.
+            self._logger.log_metrics({name: float(value) for name, value in metrics.items()}, step=step)
 
     def close(self) -> None:
-        """Flush TensorBoard's file."""
-        if self._writer is not None:
-            self._writer.close()
+        """Close the logger; metrics.csv is always whole."""
+        if self._logger is not None:
+            self._logger.close()
 
     def _read_rows(self, before_step: float | None) -> list[dict[str, str]]:
         if before_step is None or not self._path.exists():
@@ -66,18 +69,16 @@ class MetricsLogger:
         return rows
 
     def _rewrite(self, rows: list[dict[str, str]]) -> None:
-        lines = [self._columns, *([row.get(name, "") for name in self._columns] for row in rows)]
-        text = "".join(",".join(_quote(cell) for cell in line) + "\r\n" for line in lines)
-        write_text_atomically(self._path, text)
+        stream = io.StringIO()
+        writer = csv.DictWriter(stream, self._columns, restval="", extrasaction="ignore")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text_atomically(self._path, stream.getvalue())
 
 
 def _to_text(value: float) -> str:
     value = float(value)
     return str(int(value)) if value.is_integer() else repr(value)
-
-
-def _quote(cell: str) -> str:
-    return '"' + cell.replace('"', '""') + '"' if any(c in cell for c in ',"\r\n') else cell
 
 
 def _step(row: dict[str, str], path: Path) -> int:
