@@ -1,4 +1,8 @@
-"""Errors that torchgrasp raises. Each message says what was given, what was expected and what to do."""
+"""Errors that torchgrasp raises. Each message says what was given, what was expected and what to do.
+
+A message about an argument begins with the argument's name, as in ``alpha=2 is out of range``: a recipe puts
+the argument's place in the configuration before it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ class TorchgraspError(Exception):
 
 
 class ConfigError(TorchgraspError, ValueError):
-    """A value that an option cannot take."""
+    """A value that an argument cannot take."""
 
 
 class ObjectError(TorchgraspError):

@@ -254,7 +254,7 @@ def test_without_a_priority_errors_change_nothing():
 
 @pytest.mark.parametrize("options", [{"alpha": 1.5}, {"beta": -0.1}, {"eps": 0.0}])
 def test_wrong_priorities_are_refused(options):
-    with pytest.raises(ConfigError, match=f"priority.{next(iter(options))}"):
+    with pytest.raises(ConfigError, match=f"^{next(iter(options))}="):
         Priority(**options)
 
 

@@ -48,5 +48,5 @@ def test_wrong_mixtures_are_refused(parts):
         MixtureObjects({})
     with pytest.raises(ConfigError, match="boxes, cans"):
         MixtureObjects(parts, weights={"boxes": 1})
-    with pytest.raises(ConfigError, match=r"weights\.cans=0"):
+    with pytest.raises(ConfigError, match=r"^weights\['cans'\]=0"):
         MixtureObjects(parts, weights={"boxes": 1, "cans": 0})

@@ -125,7 +125,7 @@ def test_world_numbers_tell_worlds_apart_wherever_they_stand_in_the_batch():
 
 
 def test_senseless_tolerances_are_refused():
-    with pytest.raises(ConfigError, match=r"path_follower\.max_offset"):
+    with pytest.raises(ConfigError, match=r"^max_offset=-1"):
         PathFollower(max_offset=-1.0)
 
 

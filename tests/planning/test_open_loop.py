@@ -178,12 +178,12 @@ def test_without_an_error_the_pose_is_the_true_one():
 @pytest.mark.parametrize(
     ("make", "told"),
     [
-        (lambda: make_policy(steps=31), "planning.steps=31"),
-        (lambda: make_policy(steps=0), "planning.steps=0"),
-        (lambda: make_policy(steps=2.5), "planning.steps=2.5"),
+        (lambda: make_policy(steps=31), "^steps=31"),
+        (lambda: make_policy(steps=0), "^steps=0"),
+        (lambda: make_policy(steps=2.5), "^steps=2.5"),
         (lambda: make_policy(planner=FunnelPlanner(prove=False)), "prove=True"),
-        (lambda: PoseNoise(translation=-0.01), "pose_noise.translation=-0.01"),
-        (lambda: PoseNoise(rotation=4.0), "pose_noise.rotation=4.0"),
+        (lambda: PoseNoise(translation=-0.01), "^translation=-0.01"),
+        (lambda: PoseNoise(rotation=4.0), "^rotation=4.0"),
         (lambda: PoseNoise(distribution="cauchy"), "cauchy"),
     ],
 )

@@ -118,5 +118,5 @@ def test_who_has_no_planner_says_so(grasping):
 
 @pytest.mark.parametrize("steps", [-1, HORIZON + 1, (3, 2), (0, HORIZON + 1), (1, 2, 3), (), 2.5, (0, 0.5)])
 def test_impossible_steps_are_refused(steps):
-    with pytest.raises(ConfigError, match=rf"{HORIZON} steps"):
+    with pytest.raises(ConfigError, match=f"^steps=.*horizon={HORIZON}"):
         make_relay(steps)

@@ -180,7 +180,7 @@ class TestDeaths:
             assert "was killed by SIGKILL, as it happens when memory runs out" in told
 
     def test_an_episode_that_kills_all_its_workers_is_an_error(self, pool, tmp_path):
-        told = r"Episode 1 .* cost 3 workers their lives.* lower collector.num_workers"
+        told = r"Episode 1 .* cost 3 workers their lives.* lower num_workers"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             batches = pool.run("env", Mortal(tmp_path, number=1, deaths=99), range(3))
@@ -202,7 +202,7 @@ def test_whole_episodes_with_the_keys_asked_for():
 
 @pytest.mark.parametrize(("kind", "num_workers"), [(ProcessPool, -1), (ProcessPool, 0), (SerialPool, 2)])
 def test_bad_number_of_workers(kind, num_workers):
-    with pytest.raises(ConfigError, match=f"num_workers={num_workers}"):
+    with pytest.raises(ConfigError, match=f"^num_workers={num_workers}"):
         kind({"env": make_env}, num_workers=num_workers)
 
 
@@ -214,4 +214,4 @@ def test_a_cluster_that_is_too_small_is_refused():
 def test_an_address_where_no_ray_is_is_refused_at_once():
     script = "from torchgrasp.rollouts import RayPool; RayPool({}, num_workers=1, address='127.0.0.1:9')"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100)
-    assert "ConfigError: No Ray answers at collector.address=127.0.0.1:9" in done.stderr
+    assert "ConfigError: address=127.0.0.1:9 does not answer" in done.stderr

@@ -171,5 +171,5 @@ def test_without_vulkan_the_first_picture_says_what_to_install(targets, tmp_path
     [{"light": (2.0, 1.0)}, {"robot": (0.0, 1.5)}, {"light_tint": -0.1}, {"ambient": (0.1, 0.2, 0.3)}],
 )
 def test_impossible_ranges_are_refused(options):
-    with pytest.raises(ConfigError, match=r"camera\.randomize"):
+    with pytest.raises(ConfigError, match=f"^{next(iter(options))}"):
         Randomization(**options)

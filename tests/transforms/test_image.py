@@ -36,7 +36,7 @@ def test_resizing_averages_colours_and_mixes_no_depths():
 
 
 def test_without_colours_it_names_the_camera_to_choose():
-    with pytest.raises(ConfigError, match="choose camera=render"):
+    with pytest.raises(ConfigError, match="give the env a RenderCamera"):
         CameraImage("rgb")(pictures().exclude(("camera", "rgb")))
 
 

@@ -14,7 +14,8 @@ from omegaconf import DictConfig, OmegaConf
 from torchgrasp.config.one_line_errors import find_cause
 from torchgrasp.errors import TorchgraspError
 
-_ARGUMENT = re.compile(r"^(\w+)[= ]")
+# A library error about an argument begins with it, or with a part of it, as in `table_x[1]=0.9`.
+_ARGUMENT = re.compile(r"^(\w+)(?=[=\[ ])")
 
 
 def build(node: Any, *args: Any, **options: Any) -> Any:
@@ -45,8 +46,10 @@ def at_place(place: str) -> Iterator[None]:
     try:
         yield
     except TorchgraspError as error:
-        found = _ARGUMENT.match(str(error))
-        raise type(error)(_place(str(error), place, {found[1]} if found else set())) from error
+        found = re.match(r"^(\w+)(?=[=\[])", str(error))
+        if found is None:
+            raise
+        raise type(error)(f"{place}.{error}") from error
 
 
 def _find_place(error: InstantiationException, node: Any) -> tuple[str, set[str]]:
@@ -63,6 +66,6 @@ def _find_place(error: InstantiationException, node: Any) -> tuple[str, set[str]
 def _place(message: str, place: str, names: set[str]) -> str:
     """`<place>.<message>` where the message begins with one of the names, else `<place>: <message>`."""
     found = _ARGUMENT.match(message)
-    if not place or message.startswith(f"{place}."):
+    if not place:
         return message
     return f"{place}{'.' if found and found[1] in names else ': '}{message}"

@@ -113,7 +113,7 @@ class Run(Generic[LearnerT]):
         else:
             self.experience.load_demonstrations()
         step = self.gradient_steps + 1 if resumed else None
-        logger = make_logger(**self.cfg.logger, run_dir=self.folder)
+        logger = make_logger(run_dir=self.folder, resume_step=step, **self.cfg.logger)
         self.log = MetricsLogger(self.folder, resume_step=step, logger=logger)
         self._resources.callback(self.log.close)
 

@@ -86,7 +86,7 @@ def check_space(num_rows: int, row_bytes: int, *, folder: str | Path | None = No
     """
     if folder is None:
         free, where = available_memory(), "of memory"
-        remedy = "store it on disk (replay.folder=<folder>)"
+        remedy = "store it on disk (folder=<directory>)"
     else:
         existing = next(p for p in (Path(folder).absolute(), *Path(folder).absolute().parents) if p.exists())
         free, where = shutil.disk_usage(existing).free, f"of disk below {existing}"

@@ -143,7 +143,7 @@ class CompactTransitions(Transform):
         if absent := [key for key in kept if key not in shapes]:
             raise ConfigError(
                 f"The shapes of {absent} are missing, which CompactTransitions stores: give them as well, or "
-                "leave these out of state_keys and extra_keys (replay.codec)."
+                "leave these out of state_keys and extra_keys."
             )
         zeros = {key: torch.zeros(1, *shapes[key], dtype=dtypes.get(key, torch.float32)) for key in kept}
         state = TensorDict(zeros, [1])
@@ -187,7 +187,7 @@ def _read(steps: TensorDictBase, key: NestedKey, *, after_cut: bool = False) -> 
         place = f'("next", {key!r}), which the last state of a cut rollout is,' if after_cut else repr(key)
         raise ConfigError(
             f"CompactTransitions finds no {place} in the trajectories: write it, keep it when they are "
-            "handed over, or leave it out of what the codec stores (replay.codec)."
+            "handed over, or leave it out of state_keys and extra_keys."
         )
     return value
 

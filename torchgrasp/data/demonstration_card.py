@@ -38,7 +38,7 @@ def begin_demonstrations(
         if card["kind"] != check_kind(kind):
             raise ConfigError(
                 f"{path} holds demonstrations of the kind {card['kind']}, not {kind}: give another folder, "
-                f"or demonstrations.kind={card['kind']}."
+                f"or kind={card['kind']}."
             )
         return card
     path.mkdir(parents=True, exist_ok=True)

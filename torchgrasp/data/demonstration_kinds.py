@@ -18,7 +18,7 @@ COUNTED = {"all": "steps", "successful": "successful_steps", "failed": "failed_s
 def check_kind(kind: str) -> str:
     """`kind` itself, or ConfigError where there is none of that name."""
     if kind not in KINDS:
-        raise ConfigError(f"demonstrations.kind={kind!r} is unknown: give one of {', '.join(KINDS)}.")
+        raise ConfigError(f"kind={kind!r} is unknown: give one of {', '.join(KINDS)}.")
     return kind
 
 
@@ -31,11 +31,9 @@ def resolve_count(count: str | None, kind: str) -> str:
     if count is None:
         return KINDS[check_kind(kind)]
     if kind == "failed" and count == "successful":
-        raise ConfigError(
-            "demonstrations.kind=failed keeps nothing that count=successful counts: leave it out."
-        )
+        raise ConfigError("kind=failed keeps nothing that count=successful counts: leave count out.")
     if count not in COUNTED:
-        raise ConfigError(f"demonstrations.count={count!r} is unknown: give one of {', '.join(COUNTED)}.")
+        raise ConfigError(f"count={count!r} is unknown: give one of {', '.join(COUNTED)}.")
     return count
 
 

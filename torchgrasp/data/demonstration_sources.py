@@ -76,7 +76,7 @@ def list_demonstrations(cfg: DictConfig) -> dict[str, DictConfig]:
     first = {name: demos[name] for name in _OPTIONS}
     sources = _find_kinds(first) or {"expert": first}
     if not isinstance(demos.more, Mapping | None):
-        raise ConfigError(f"demonstrations.more={demos.more}: give {{name: {{kind: ...}}}}, or null.")
+        raise ConfigError(f"more={demos.more}: give {{name: {{kind: ...}}}}, or null.")
     for name, given in (demos.more or {}).items():
         sources[str(name)] = _complete(str(name), given, first["steps"])
     plain: Any = OmegaConf.to_container(cfg)
@@ -90,7 +90,7 @@ def count_steps(configurations: Iterable[DictConfig]) -> int:
 
 def _complete(name: str, given: Any, steps: int) -> dict[str, Any]:
     """All options of the further demonstrations `name`; `ratio` counts steps by those of the first."""
-    place = f"demonstrations.more.{name}"
+    place = f"more.{name}"
     if name in _TAKEN or not name.isidentifier():
         raise ConfigError(f"{place}: give another name, a word that is none of {', '.join(_TAKEN)}.")
     known = (*_OPTIONS, "ratio")

@@ -110,8 +110,8 @@ class ImageEncoding:
         planes = values[..., self._others, :, :]
         if planes.numel() and not bool(((planes >= 0) & (planes <= 1)).all()):
             raise ConfigError(
-                f"{self._key!r} holds colours or masks outside [0, 1]: normalise sampled batches instead "
-                "(replay.augment)."
+                f"{self._key!r} holds colours or masks outside [0, 1]: normalise sampled batches instead, "
+                "by the transform= of the buffer."
             )
         parts = [(planes * 255.0).round().to(torch.uint8)]
         if self._depth:

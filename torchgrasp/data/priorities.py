@@ -29,9 +29,9 @@ class Priority:
     eps: float = 1e-6
 
     def __post_init__(self) -> None:
-        check_range("priority.alpha", self.alpha, 0.0, 1.0)
-        check_range("priority.beta", self.beta, 0.0, 1.0)
-        check_range("priority.eps", self.eps, 0.0, float("inf"), open_low=True)
+        check_range("alpha", self.alpha, 0.0, 1.0)
+        check_range("beta", self.beta, 0.0, 1.0)
+        check_range("eps", self.eps, 0.0, float("inf"), open_low=True)
 
     def weigh(self, errors: Tensor) -> Tensor:
         """(*) errors to (*) float64 weights of the draw."""

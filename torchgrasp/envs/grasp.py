@@ -85,10 +85,10 @@ class GraspEnv(EnvBase):
         device: torch.device | str = "cpu",
     ) -> None:
         for name, value, low in (("num_envs", num_envs, 1), ("horizon", horizon, 1), ("seed", seed, 0)):
-            check_whole(f"env.{name}", value, low)
+            check_whole(name, value, low)
         if grasp_trigger not in GRASP_TRIGGERS:
             raise ConfigError(
-                f"env.grasp_trigger={grasp_trigger!r} is unknown: give {' or '.join(GRASP_TRIGGERS)}."
+                f"grasp_trigger={grasp_trigger!r} is unknown: give {' or '.join(GRASP_TRIGGERS)}."
             )
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.horizon, self.first_world, self.grasp_trigger = horizon, first_world, grasp_trigger
@@ -104,7 +104,7 @@ class GraspEnv(EnvBase):
             physics=physics,
             start=start or StartPoses(),
             motion=make_target_motion(target_motion),
-            order=object_order,
+            object_order=object_order,
         )
         self._playing: list[Scene | None] = [None] * num_envs
         self._steps = np.zeros(num_envs, dtype=np.int64)

@@ -78,8 +78,8 @@ class JitterTarget(TargetMotion):
 
     def __post_init__(self) -> None:
         _check_steps(self.steps, 0)
-        check_range("target_motion.translation", self.translation, 0.0, 0.5)
-        check_range("target_motion.rotation", self.rotation, 0.0, np.pi)
+        check_range("translation", self.translation, 0.0, 0.5)
+        check_range("rotation", self.rotation, 0.0, np.pi)
 
     def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
         """See `TargetMotion.present`; the target stays in the area."""
@@ -116,18 +116,16 @@ class HandoverTarget(TargetMotion):
 
     def __post_init__(self) -> None:
         if self.route != "random" and self.route not in ROUTES:
-            raise ConfigError(
-                f"target_motion.route={self.route!r}: give random or one of {', '.join(ROUTES)}."
-            )
-        check_range("target_motion.side", self.side, 0.0, 0.5)
-        check_range("target_motion.tilt", self.tilt, 0.0, np.pi)
+            raise ConfigError(f"route={self.route!r}: give random or one of {', '.join(ROUTES)}.")
+        check_range("side", self.side, 0.0, 0.5)
+        check_range("tilt", self.tilt, 0.0, np.pi)
         _check_steps(self.steps, 1)
         for name, (low, high) in (("x", (0.2, 0.8)), ("z", (0.05, 1.0))):
             pair = getattr(self, name)
             if isinstance(pair, (int, float)) or len(pair) != 2:
-                raise ConfigError(f"target_motion.{name}={pair}: give [low, high], metres.")
-            check_range(f"target_motion.{name}[0]", pair[0], low, high)
-            check_range(f"target_motion.{name}[1]", pair[1], pair[0], high)
+                raise ConfigError(f"{name}={pair}: give [low, high], metres.")
+            check_range(f"{name}[0]", pair[0], low, high)
+            check_range(f"{name}[1]", pair[1], pair[0], high)
 
     def present(self, rng: np.random.Generator, T_base_object: np.ndarray, area: tuple) -> Presentation:
         """See `TargetMotion.present`; a move speeds up and slows down like a cosine."""
@@ -163,7 +161,7 @@ class MixedTarget(TargetMotion):
         usable = len(self.motions) == len(self.weights) and all(weight >= 0 for weight in self.weights)
         if not usable or not 0.0 < sum(self.weights) < np.inf:
             raise ConfigError(
-                f"target_motion.weights={list(self.weights)}: give each of the {len(self.motions)} motions a "
+                f"weights={list(self.weights)}: give each of the {len(self.motions)} motions a "
                 "weight of at least 0, one of them more."
             )
 
@@ -175,7 +173,7 @@ class MixedTarget(TargetMotion):
 
 def _check_steps(steps: int, least: int) -> None:
     if not isinstance(steps, int) or steps < least:
-        raise ConfigError(f"target_motion.steps={steps}: give a whole number of at least {least}.")
+        raise ConfigError(f"steps={steps}: give a whole number of at least {least}.")
 
 
 def _tilted(rng: np.random.Generator, largest: float) -> np.ndarray:
@@ -201,14 +199,14 @@ def moved(T_base_object: np.ndarray, move: np.ndarray) -> np.ndarray:
 
 
 def make_target_motion(
-    motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"],
+    target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"],
 ) -> TargetMotion:
     """The motion itself, or that of the name with its usual numbers."""
-    if isinstance(motion, TargetMotion):
-        return motion
+    if isinstance(target_motion, TargetMotion):
+        return target_motion
     named = {"static": StaticTarget, "jitter": JitterTarget, "handover": HandoverTarget, "mixed": MixedTarget}
-    if motion not in named:
+    if target_motion not in named:
         raise ConfigError(
-            f"env.target_motion={motion!r} is unknown: give {', '.join(named)} or a TargetMotion."
+            f"target_motion={target_motion!r} is unknown: give {', '.join(named)} or a TargetMotion."
         )
-    return named[motion]()
+    return named[target_motion]()

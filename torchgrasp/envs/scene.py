@@ -59,7 +59,7 @@ class SceneSampler:
         physics: of the episodes; resting poses are proved in it too.
         start: the distribution of places and start postures.
         motion: how the target is presented and moves.
-        order: ``random`` draws an object for each episode; ``cycle`` takes every object of the set in
+        object_order: ``random`` draws an object for each episode; ``cycle`` takes every object of the set in
             turn, in an order of each world's own, so that as many episodes as objects meet each once.
     """
 
@@ -70,14 +70,14 @@ class SceneSampler:
         physics: Physics,
         start: Start,
         motion: TargetMotion,
-        order: Literal["random", "cycle"] = "random",
+        object_order: Literal["random", "cycle"] = "random",
     ) -> None:
         if len(objects) == 0:
-            raise ConfigError("The object set is empty: choose another split or more objects.")
-        if order not in ("random", "cycle"):
-            raise ConfigError(f"env.object_order={order!r} is unknown: give random or cycle.")
+            raise ConfigError("objects is empty: choose another split or more objects.")
+        if object_order not in ("random", "cycle"):
+            raise ConfigError(f"object_order={object_order!r} is unknown: give random or cycle.")
         self.objects = objects
-        self.physics, self.start, self.motion, self.order = physics, start, motion, order
+        self.physics, self.start, self.motion, self.object_order = physics, start, motion, object_order
         self._resting: dict[int, np.ndarray] = {}
 
     def sample(self, seed: int, world: int, episode: int) -> Scene:
@@ -112,7 +112,7 @@ class SceneSampler:
         raise ObjectError(
             f"None of {_MAX_TRIES} draws from {len(self.objects)} objects (the last: "
             f"{self.objects[object_id].name}) lies within reach with {MIN_CLEAR_GRASPS} grasps clear: "
-            "choose other objects, or widen env.start.table_x and env.start.table_y."
+            "choose other objects, or widen the table_x and table_y of the start."
         )
 
     @staticmethod
@@ -121,7 +121,7 @@ class SceneSampler:
 
     def _choose(self, rng: np.random.Generator, seed: int, world: int, episode: int, attempt: int) -> int:
         """Index of the object that is tried."""
-        if self.order == "cycle":
+        if self.object_order == "cycle":
             # An object that cannot be presented is tried at twenty places before its turn is over.
             order = self._stream(seed, world, 0, _ORDER).permutation(len(self.objects))
             return int(order[(episode + attempt // 20) % len(order)])

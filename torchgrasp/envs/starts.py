@@ -35,7 +35,7 @@ class Start(ABC):
     def __post_init__(self) -> None:
         for name in ("table_x", "table_y"):
             low, high = getattr(self, name)
-            check_range(f"start.{name}[1]", high, low, np.inf)
+            check_range(f"{name}[1]", high, low, np.inf)
 
     @abstractmethod
     def posture(
@@ -61,10 +61,10 @@ class StartPoses(Start):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_range("start.min_distance", self.min_distance, 0.0, 1.0, open_low=True)
-        check_range("start.max_distance", self.max_distance, self.min_distance, 1.0)
-        check_range("start.min_elevation", self.min_elevation, 0.0, np.pi / 2)
-        check_range("start.aim", self.aim, 0.0, 0.1)
+        check_range("min_distance", self.min_distance, 0.0, 1.0, open_low=True)
+        check_range("max_distance", self.max_distance, self.min_distance, 1.0)
+        check_range("min_elevation", self.min_elevation, 0.0, np.pi / 2)
+        check_range("aim", self.aim, 0.0, 0.1)
 
     def posture(
         self, rng: np.random.Generator, target: GraspObject, T_base_object: np.ndarray
@@ -111,9 +111,9 @@ class TabletopStart(Start):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.q) != 7:
-            raise ConfigError(f"start.q={list(self.q)}: give the seven angles of the arm, radians.")
-        check_range("start.spread", self.spread, 0.0, np.pi)
-        check_range("start.view", self.view, 0.0, np.pi, open_low=True)
+            raise ConfigError(f"q={list(self.q)}: give the seven angles of the arm, radians.")
+        check_range("spread", self.spread, 0.0, np.pi)
+        check_range("view", self.view, 0.0, np.pi, open_low=True)
 
     def posture(
         self, rng: np.random.Generator, target: GraspObject, T_base_object: np.ndarray

@@ -47,7 +47,7 @@ def read_metrics(run_dir: str | Path) -> dict[str, Array]:
     """
     path = Path(run_dir) / "metrics.csv"
     if not path.is_file():
-        raise CheckpointError(f"There is no {path}: give run directories of recipes/td3_bc.py.")
+        raise CheckpointError(f"There is no {path}: give the directory of a training run.")
     with path.open(newline="") as stream:
         lines = list(csv.reader(stream))
     names, *rows = lines or [[]]

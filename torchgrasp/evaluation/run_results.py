@@ -115,7 +115,7 @@ def check_same_scenes(results: Sequence[RunResult]) -> None:
             )
             raise ConfigError(
                 f"{first.run} and {other.run} were evaluated on different scenes ({words}): evaluate both "
-                "alike, by recipes/evaluate.py with the same options, and compare those runs."
+                "alike and compare those runs."
             )
 
 

@@ -136,7 +136,7 @@ def check_inputs(state_inputs: StateInputs | None) -> dict[NestedKey, int]:
     inputs = dict(state_inputs or {})
     for key, size in inputs.items():
         if isinstance(size, bool) or not isinstance(size, int) or size < 1:
-            raise ConfigError(f"state_inputs: {key}={size}: give the size of that observation, 1 or more.")
+            raise ConfigError(f"state_inputs[{key!r}]={size}: give the size of that observation, 1 or more.")
     return inputs
 
 

@@ -63,7 +63,7 @@ class ResNet18(nn.Module):
     ) -> None:
         super().__init__()
         check_whole("in_channels", in_channels, 1)
-        check_range("model.width", width, 0.0, float("inf"), open_low=True)
+        check_range("width", width, 0.0, float("inf"), open_low=True)
         if rgb and in_channels < 3:
             raise ConfigError(
                 f"in_channels={in_channels} has no room for red, green and blue: give 3 or more, or "

@@ -45,9 +45,9 @@ class MixtureObjects(ObjectSet):
         if weights is not None and set(weights) != set(sets):
             raise ConfigError(f"weights names {', '.join(weights)}: give one for each of {', '.join(sets)}.")
         for name, objects in sets.items():
-            check_range(f"weights.{name}", 1 if weights is None else weights[name], 0, 1e9, open_low=True)
+            check_range(f"weights[{name!r}]", 1 if weights is None else weights[name], 0, 1e9, open_low=True)
             if not len(objects):
-                raise ConfigError(f"The set {name!r} is empty: leave it out.")
+                raise ConfigError(f"sets[{name!r}] is empty: leave it out.")
         first = next(iter(sets.values()))
         super().__init__(
             num_grasps=min(each.num_grasps for each in sets.values()),

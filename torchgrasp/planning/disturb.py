@@ -36,10 +36,10 @@ class Disturb(TensorDictModuleBase):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        check_range("disturb.probability", probability, 0.0, 1.0)
+        check_range("probability", probability, 0.0, 1.0)
         self.in_keys = [keys.ACTION, keys.WORLD, keys.EPISODE, keys.TIME_LEFT]
         self.out_keys = [keys.ACTION, keys.PERTURBED]
-        check_range("disturb.until", until, 0.0, 1.0)
+        check_range("until", until, 0.0, 1.0)
         self.probability, self.until = probability, until
         self._range = np.array([translation] * 3 + [rotation] * 3)
         self._generators = MomentGenerators(seed, purpose="Disturb")

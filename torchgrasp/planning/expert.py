@@ -120,7 +120,7 @@ class ExpertPolicy(TensorDictModuleBase):
         if fallback is not None:
             self._guides.append(_Guide(fallback, _own_law(fallback)))
         if not self.law.any_goal and not self.planner.gives_path:
-            raise ConfigError("expert.law follows a path, but expert.planner has none: give prove=True.")
+            raise ConfigError("law follows a path, but the planner has none: give it prove=True.")
         self.actions = action_space or EeDelta()
         self.in_keys = list(STATE_KEYS)
         labels = [keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL, keys.PLAN_STATUS]

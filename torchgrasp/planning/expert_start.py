@@ -25,8 +25,8 @@ class ExpertStart(TensorDictModuleBase):
 
     def __init__(self, *, horizon: int, probability: float = 0.5, max_steps: int = 10, seed: int = 0) -> None:
         super().__init__()
-        check_range("expert_start.probability", probability, 0.0, 1.0)
-        check_range("expert_start.max_steps", max_steps, 1, horizon)
+        check_range("probability", probability, 0.0, 1.0)
+        check_range("max_steps", max_steps, 1, horizon)
         self.in_keys = [
             keys.ACTION,
             keys.EXPERT_ACTION,

@@ -47,10 +47,10 @@ class Funnel(Law):
 
     def __post_init__(self) -> None:
         for name in ("standoff", "slope", "lever", "tolerance", "retreat"):
-            check_range(f"funnel.{name}", getattr(self, name), 0.0, np.inf)
-        check_range("funnel.settle", self.settle, 1.0, np.inf)
+            check_range(name, getattr(self, name), 0.0, np.inf)
+        check_range("settle", self.settle, 1.0, np.inf)
         for name in ("arrive", "align"):
-            check_range(f"funnel.{name}", getattr(self, name), 0.0, 1.0, open_low=True)
+            check_range(name, getattr(self, name), 0.0, 1.0, open_low=True)
 
     def steer(self, T_base_ee: Array, courses: Sequence[Course], steps_left: Array, horizon: int) -> Array:
         """See `Law.steer`."""

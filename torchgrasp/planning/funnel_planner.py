@@ -41,9 +41,9 @@ class FunnelPlanner(Planner):
     prove: bool = True
 
     def __post_init__(self) -> None:
-        check_whole("funnel_planner.num_rollouts", self.num_rollouts, 1)
-        check_range("funnel_planner.blocked", self.blocked, 0.0, np.inf)
-        check_range("funnel_planner.budget", self.budget, 0.0, np.inf)
+        check_whole("num_rollouts", self.num_rollouts, 1)
+        check_range("blocked", self.blocked, 0.0, np.inf)
+        check_range("budget", self.budget, 0.0, np.inf)
 
     @property
     def gives_path(self) -> bool:

@@ -47,8 +47,8 @@ class GoalChoice:
 
     def __post_init__(self) -> None:
         for name in ("quality_weight", "clearance", "clearance_weight", "loyalty"):
-            check_range(f"choice.{name}", getattr(self, name), 0.0, np.inf)
-        check_whole("choice.max_reached", self.max_reached, 1)
+            check_range(name, getattr(self, name), 0.0, np.inf)
+        check_whole("max_reached", self.max_reached, 1)
 
     def choose(
         self, target: GraspObject, T_base_object: Array, q: Array, pursued: int = -1

@@ -84,10 +84,10 @@ class PathFollower(Law):
     any_goal = False
 
     def __post_init__(self) -> None:
-        check_range("path_follower.max_offset", self.max_offset, 0.0, np.inf)
-        check_range("path_follower.max_angle", self.max_angle, 0.0, np.inf)
-        check_range("path_follower.max_translation", self.max_translation, 0.0, np.inf, open_low=True)
-        check_range("path_follower.max_rotation", self.max_rotation, 0.0, np.inf, open_low=True)
+        check_range("max_offset", self.max_offset, 0.0, np.inf)
+        check_range("max_angle", self.max_angle, 0.0, np.inf)
+        check_range("max_translation", self.max_translation, 0.0, np.inf, open_low=True)
+        check_range("max_rotation", self.max_rotation, 0.0, np.inf, open_low=True)
 
     def steer(self, T_base_ee: Array, courses: Sequence[Course], steps_left: Array, horizon: int) -> Array:
         """See `Law.steer`."""

@@ -84,11 +84,10 @@ class OpenLoopPolicy(TensorDictModuleBase):
         super().__init__()
         if isinstance(steps, bool) or not isinstance(steps, int) or not 1 <= steps <= horizon:
             raise ConfigError(
-                f"planning.steps={steps}: give a whole number from 1 to the episode's {horizon} steps "
-                "(env.horizon)."
+                f"steps={steps}: give a whole number from 1 to horizon={horizon}, the steps of an episode."
             )
         if planner is not None and not planner.gives_path:
-            raise ConfigError("planning.planner: this planner has no path to carry out: give prove=True.")
+            raise ConfigError("planner has no path to carry out: give it prove=True.")
         self.in_keys = list(STATE_KEYS)
         self.out_keys = [keys.ACTION, keys.PLAN_STATUS]
         self.objects, self.horizon, self.steps = objects, horizon, steps

@@ -28,12 +28,10 @@ class PoseNoise:
     distribution: Literal["gaussian", "uniform"] = "gaussian"
 
     def __post_init__(self) -> None:
-        check_range("pose_noise.translation", self.translation, 0.0, np.inf)
-        check_range("pose_noise.rotation", self.rotation, 0.0, np.pi)
+        check_range("translation", self.translation, 0.0, np.inf)
+        check_range("rotation", self.rotation, 0.0, np.pi)
         if self.distribution not in ("gaussian", "uniform"):
-            raise ConfigError(
-                f"pose_noise.distribution={self.distribution!r} is unknown: give gaussian or uniform."
-            )
+            raise ConfigError(f"distribution={self.distribution!r} is unknown: give gaussian or uniform.")
 
     def perceive(self, T_base_object: Array, rng: np.random.Generator) -> Array:
         """The (4, 4) pose told of an object that is at T_base_object (4, 4)."""

@@ -94,7 +94,7 @@ def _range(steps: int | Sequence[int], horizon: int) -> tuple[int, int]:
     whole = all(isinstance(end, int) and not isinstance(end, bool) for end in ends)
     if len(ends) != 2 or not whole or not 0 <= ends[0] <= ends[1] <= horizon:
         raise ConfigError(
-            f"steps={steps} of a relay: give a whole number, or the least and the most of it, from 0 to the "
-            f"episode's {horizon} steps (env.horizon)."
+            f"steps={steps}: give a whole number, or the least and the most of it, from 0 to "
+            f"horizon={horizon}, the steps of an episode."
         )
     return ends[0], ends[1]

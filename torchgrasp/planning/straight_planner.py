@@ -30,8 +30,8 @@ class StraightPlanner(Planner):
     arrive: float = 0.85
 
     def __post_init__(self) -> None:
-        check_range("straight_planner.standoff", self.standoff, 0.0, 0.3)
-        check_range("straight_planner.arrive", self.arrive, 0.0, 1.0, open_low=True)
+        check_range("standoff", self.standoff, 0.0, 0.3)
+        check_range("arrive", self.arrive, 0.0, 1.0, open_low=True)
 
     def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
         """See `Planner.find_way`."""

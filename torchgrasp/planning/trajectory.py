@@ -39,10 +39,10 @@ class TrajectoryOptimizer:
 
     def __post_init__(self) -> None:
         for name, low in (("num_points", 1), ("iterations", 0), ("prune_every", 1)):
-            check_whole(f"trajectory.{name}", getattr(self, name), low)
-        check_range("trajectory.clearance_weight", self.clearance_weight, 0.0, np.inf)
-        check_range("trajectory.step", self.step, 0.0, 1.0)
-        check_range("trajectory.keep", self.keep, 0.0, 1.0, open_low=True)
+            check_whole(name, getattr(self, name), low)
+        check_range("clearance_weight", self.clearance_weight, 0.0, np.inf)
+        check_range("step", self.step, 0.0, 1.0)
+        check_range("keep", self.keep, 0.0, 1.0, open_low=True)
 
     def optimize(
         self, clearance: Clearance, q: Array, goals: Array, toll: Array, *, deadline: float = np.inf

@@ -77,14 +77,14 @@ class TrajectoryPlanner(Planner):
     budget: float = np.inf
 
     def __post_init__(self) -> None:
-        check_range("trajectory_planner.standoff", self.standoff, 0.0, 0.3)
-        check_range("trajectory_planner.arrive", self.arrive, 0.0, 1.0, open_low=True)
+        check_range("standoff", self.standoff, 0.0, 0.3)
+        check_range("arrive", self.arrive, 0.0, 1.0, open_low=True)
         for name in ("budget", "toll"):
-            check_range(f"trajectory_planner.{name}", getattr(self, name), 0.0, np.inf)
+            check_range(name, getattr(self, name), 0.0, np.inf)
         for name in ("approach_points", "postures", "num_goals"):
-            check_whole(f"trajectory_planner.{name}", getattr(self, name), 1)
+            check_whole(name, getattr(self, name), 1)
         if self.num_steps not in ("fixed", "free"):
-            raise ConfigError(f"trajectory_planner.num_steps={self.num_steps!r}: give fixed or free.")
+            raise ConfigError(f"num_steps={self.num_steps!r}: give fixed or free.")
 
     def find_way(self, query: Query, grasps: ReachableGrasps) -> Plan:
         """See `Planner.find_way`."""

@@ -74,9 +74,9 @@ class EpisodeFilm:
         rendered: bool | None = None,
         fov: float = np.pi / 2,
     ) -> None:
-        check_range("video.size", size, 64, 2048)
+        check_range("size", size, 64, 2048)
         if size % 16:
-            raise ConfigError(f"video.size={size} is no multiple of 16: give {size // 16 * 16 or 16}.")
+            raise ConfigError(f"size={size} is no multiple of 16: give {size // 16 * 16 or 16}.")
         self._objects = objects
         self._size, self._fov = size, fov
         self._lens = CameraIntrinsics(size, size, fov=0.9, near=0.05, far=5.0)

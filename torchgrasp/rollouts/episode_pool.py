@@ -106,8 +106,7 @@ class SerialPool(EpisodePool):
     ) -> None:
         if num_workers != 0:
             raise ConfigError(
-                f"collector.num_workers={num_workers} with collector=serial, which has no workers: choose "
-                "collector=pool, or leave num_workers at 0."
+                f"num_workers={num_workers}: a SerialPool has no workers, give 0, or take a ProcessPool."
             )
         super().__init__(envs, keep=keep)
 

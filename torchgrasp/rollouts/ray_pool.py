@@ -58,13 +58,13 @@ class RayPool(WorkerPool):
                 self._ray.init(address or "local", **{"logging_level": "warning", **own, **(init or {})})
             except OSError as error:
                 raise ConfigError(
-                    f"No Ray answers at collector.address={address} ({error}): begin with `ray start --head`."
+                    f"address={address} does not answer ({error}): begin a cluster by `ray start --head`."
                 ) from error
         found = self._ray.cluster_resources().get("CPU", 0)
         if found < cores:
             self.close()
             raise ConfigError(
-                f"collector.num_workers={num_workers} of {num_cpus:g} cores each do not fit the {found:g} "
+                f"num_workers={num_workers} of {num_cpus:g} cores each do not fit the {found:g} "
                 "cores of the Ray cluster: let more machines join by `ray start --address=...`, or lower it."
             )
         actor = self._ray.remote(num_cpus=num_cpus, max_restarts=0)(_RemoteRunner)
@@ -126,9 +126,7 @@ def import_ray() -> ModuleType:
     try:
         import ray
     except ImportError as error:
-        raise ConfigError(
-            f'collector=ray needs the extra ray ({error}): pip install "torchgrasp[ray]".'
-        ) from error
+        raise ConfigError(f'RayPool needs the extra ray ({error}): pip install "torchgrasp[ray]".') from error
     return ray
 
 

@@ -74,7 +74,7 @@ class WorkerPool(EpisodePool):
     ) -> None:
         if num_workers < 1:
             raise ConfigError(
-                f"collector.num_workers={num_workers}: give 1 or more, or 0 (this process) with SerialPool."
+                f"num_workers={num_workers}: give 1 or more, or take a SerialPool, which needs none."
             )
         super().__init__(envs, keep=keep)
         self._waiting: PriorityQueue[Task] = PriorityQueue()
@@ -159,8 +159,7 @@ class WorkerPool(EpisodePool):
             return
         message = (
             f"{what[0].upper()}{what[1:]} cost {task.deaths} workers their lives; the last, {name}, {death}. "
-            "If memory ran out, lower collector.num_workers; collector.num_workers=0 shows other errors. "
-            "Either goes with resume=<run dir>."
+            "If memory ran out, lower num_workers; a SerialPool shows other errors."
         )
         _settle(task, TorchgraspError(message))
 

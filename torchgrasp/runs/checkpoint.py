@@ -20,7 +20,7 @@ _MANIFEST = "manifest.json"
 # 2: what a learner, its run and its buffer hold stand in entries of their own.
 _FORMAT = 2
 _MAX_READS = 20
-_REMEDY = "restore the folder from a copy, or start a run without resume="
+_REMEDY = "restore the folder from a copy, or begin another run"
 
 
 def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:

@@ -63,11 +63,11 @@ class Randomization:
         for name, top in tops.items():
             pair = tuple(getattr(self, name))
             if len(pair) != 2:
-                raise ConfigError(f"camera.randomize.{name}={list(pair)}: give a pair [low, high].")
+                raise ConfigError(f"{name}={list(pair)}: give a pair [low, high].")
             object.__setattr__(self, name, pair)  # lists of a configuration have no hash
-            check_range(f"camera.randomize.{name}[0]", pair[0], 0.0, top)
-            check_range(f"camera.randomize.{name}[1]", pair[1], pair[0], top)
-        check_range("camera.randomize.light_tint", self.light_tint, 0.0, 1.0)
+            check_range(f"{name}[0]", pair[0], 0.0, top)
+            check_range(f"{name}[1]", pair[1], pair[0], top)
+        check_range("light_tint", self.light_tint, 0.0, 1.0)
 
     def draw(self, appearance: int, target_key: str) -> Appearance:
         """The look that follows from an episode's seed `appearance`, the same at every call."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.objects.model import GraspObject
 
 # Released code: the camera sits at (0.036, 0, 0.036) of the hand and looks along the hand's z.
@@ -55,13 +55,11 @@ class CameraIntrinsics:
     far: float = 2.0
 
     def __post_init__(self) -> None:
-        if self.width < 1 or self.height < 1:
-            raise ConfigError(
-                f"A camera of {self.width}x{self.height} pixels sees nothing: give at least 1x1."
-            )
-        check_range("camera.fov", self.fov, 0.0, np.pi * 0.95, open_low=True)
-        check_range("camera.near", self.near, 0.0, np.inf)
-        check_range("camera.far", self.far, self.near, np.inf, open_low=True)
+        check_whole("width", self.width, 1)
+        check_whole("height", self.height, 1)
+        check_range("fov", self.fov, 0.0, np.pi * 0.95, open_low=True)
+        check_range("near", self.near, 0.0, np.inf)
+        check_range("far", self.far, self.near, np.inf, open_low=True)
 
     @property
     def focal(self) -> float:

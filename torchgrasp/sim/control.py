@@ -119,12 +119,14 @@ class JointVelocity(JointDelta):
         return super().action_towards(q, T_base_ee, T_base_target) / self.control_period
 
 
-def make_action_space(name: ActionSpaceName, *, control_period: float = 0.15) -> ActionSpace:
+def make_action_space(action_space: ActionSpaceName, *, control_period: float = 0.15) -> ActionSpace:
     """The action space of that name; `control_period` is the physics', seconds."""
-    if name == "ee_delta":
+    if action_space == "ee_delta":
         return EeDelta(control_period)
-    if name == "joint_delta":
+    if action_space == "joint_delta":
         return JointDelta(control_period)
-    if name == "joint_velocity":
+    if action_space == "joint_velocity":
         return JointVelocity(control_period)
-    raise ConfigError(f"env.action_space={name!r} is unknown: give ee_delta, joint_delta or joint_velocity.")
+    raise ConfigError(
+        f"action_space={action_space!r} is unknown: give ee_delta, joint_delta or joint_velocity."
+    )

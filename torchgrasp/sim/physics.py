@@ -12,6 +12,11 @@ from torchgrasp.errors import ConfigError, check_range
 
 # What may differ from episode to episode.
 _DRAWN = ("mass", "friction", "finger_friction", "finger_force")
+_ABOVE_ZERO = (
+    *("mass", "finger_force", "control_period", "close_seconds", "lift_seconds", "lift_height"),
+    *("free_rate", "approach_rate", "close_rate", "lift_rate"),
+)
+_FROM_ZERO = ("friction", "finger_friction", "linear_damping", "angular_damping", "near")
 
 
 @dataclass(frozen=True)
@@ -54,22 +59,12 @@ class Physics:
     vary: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("mass", "finger_force"):
-            check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf, open_low=True)
-        for name in ("friction", "finger_friction"):
-            check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf)
-        for name in ("linear_damping", "angular_damping", "near"):
-            check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf)
-        for name in (
-            *("control_period", "close_seconds", "lift_seconds", "lift_height"),
-            *("free_rate", "approach_rate", "close_rate", "lift_rate"),
-        ):
-            check_range(f"physics.{name}", getattr(self, name), 0.0, np.inf, open_low=True)
+        for name in (*_ABOVE_ZERO, *_FROM_ZERO):
+            check_range(name, getattr(self, name), 0.0, np.inf, open_low=name in _ABOVE_ZERO)
         pairs = {name: _pair(name, each) for name, each in self.vary.items() if each is not None}
         object.__setattr__(self, "vary", pairs)
-        for name, pair in self.vary.items():
-            for value in pair:
-                replace(self, **{name: value}, vary={})  # the same checks as for a fixed value
+        for name, (low, _) in pairs.items():
+            check_range(f"vary[{name!r}][0]", low, 0.0, np.inf, open_low=name in _ABOVE_ZERO)
 
     def draw(self, rng: np.random.Generator) -> Physics:
         """The physics of one episode: what varies is drawn, nothing varies any more."""
@@ -80,8 +75,8 @@ class Physics:
 def _pair(name: str, pair: object) -> tuple[float, float]:
     """(low, high) of a range, or an error that names it."""
     if name not in _DRAWN:
-        raise ConfigError(f"physics.vary has {name!r}: only {', '.join(_DRAWN)} can vary.")
+        raise ConfigError(f"vary has {name!r}: only {', '.join(_DRAWN)} can vary.")
     whole = isinstance(pair, Sequence) and len(pair) == 2 and all(isinstance(each, Real) for each in pair)
     if not whole or not -np.inf < pair[0] <= pair[1] < np.inf:  # type: ignore[index]
-        raise ConfigError(f"physics.vary.{name}={pair!r}: give [low, high], or null for a fixed value.")
+        raise ConfigError(f"vary[{name!r}]={pair!r}: give [low, high], or null for a fixed value.")
     return float(pair[0]), float(pair[1])  # type: ignore[index]

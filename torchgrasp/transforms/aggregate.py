@@ -82,12 +82,12 @@ class AggregatePoints(HistoryTransform[_Union]):
         camera: CameraName = "wrist",
         seed: int = 0,
     ) -> None:
-        check_range("transforms.aggregate.alpha", alpha, 0.0, 1.0, open_low=True)
-        check_range("transforms.aggregate.fov", fov, 0.0, math.pi * 0.95, open_low=True)
+        check_range("alpha", alpha, 0.0, 1.0, open_low=True)
+        check_range("fov", fov, 0.0, math.pi * 0.95, open_low=True)
         if carve is not None:
-            check_range("transforms.aggregate.carve", carve, 0.0, math.inf)
+            check_range("carve", carve, 0.0, math.inf)
         if max_points < 1:
-            raise ConfigError(f"transforms.aggregate.max_points={max_points}: give at least 1.")
+            raise ConfigError(f"max_points={max_points}: give at least 1.")
         source = camera_keys(camera)
         seen = [] if carve is None else [source.depth, source.pose]
         super().__init__(

@@ -39,9 +39,9 @@ class DelayObservation(HistoryTransform[Memory]):
 
     def __init__(self, steps: int = 1, *, names: Sequence[NestedKey] = (keys.MASK,)) -> None:
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 0:
-            raise ConfigError(f"DelayObservation: steps={steps!r}: give a whole number of at least 0.")
+            raise ConfigError(f"steps={steps!r}: give a whole number of at least 0.")
         if isinstance(names, str) or not len(names):
-            raise ConfigError(f"DelayObservation: names={names!r}: give a list of at least one key.")
+            raise ConfigError(f"names={names!r}: give a list of at least one key.")
         late = [name if isinstance(name, str) else tuple(name) for name in names]
         super().__init__(in_keys=late, out_keys=list(late))
         self.steps = steps

@@ -40,7 +40,7 @@ class DepthToPoints(PointTransform):
     """
 
     def __init__(self, *, fov: float = math.pi / 2, camera: CameraName = "wrist") -> None:
-        check_range("transforms.points.fov", fov, 0.0, math.pi * 0.95, open_low=True)
+        check_range("fov", fov, 0.0, math.pi * 0.95, open_low=True)
         source = camera_keys(camera)
         super().__init__(
             in_keys=[source.depth, source.mask, keys.T_BASE_EE, source.pose],

@@ -58,13 +58,13 @@ class DepthNoise(PointTransform):
         seed: int = 0,
     ) -> None:
         if len(axial) != 3:
-            raise ConfigError(f"DepthNoise: axial={list(axial)} has {len(axial)} numbers: give a, b, c.")
+            raise ConfigError(f"axial={list(axial)} has {len(axial)} numbers: give a, b, c.")
         limits = {"lateral": lateral, "disparity_step": disparity_step, "edge_step": edge_step}
         limits |= {f"axial[{i}]": each for i, each in enumerate(axial)}
         for name, value in limits.items():
-            check_range(f"DepthNoise: {name}", value, 0.0, _INFINITY)
+            check_range(name, value, 0.0, _INFINITY)
         for name, value in (("edge_holes", edge_holes), ("dropout", dropout)):
-            check_range(f"DepthNoise: {name}", value, 0.0, 1.0)
+            check_range(name, value, 0.0, 1.0)
         source = camera_keys(camera)
         both = [source.depth, source.mask]
         super().__init__(in_keys=both, out_keys=list(both), seed=seed)

@@ -37,8 +37,8 @@ class JitterPoints(PointTransform):
     """
 
     def __init__(self, sigma: float = 0.001, *, bound: float = 0.005, seed: int = 0) -> None:
-        check_range("JitterPoints: sigma", sigma, 0.0, float("inf"))
-        check_range("JitterPoints: bound", bound, 0.0, float("inf"))
+        check_range("sigma", sigma, 0.0, float("inf"))
+        check_range("bound", bound, 0.0, float("inf"))
         super().__init__(in_keys=[keys.POINTS, keys.NUM_POINTS], out_keys=[keys.POINTS], seed=seed)
         self.sigma, self.bound = sigma, bound
 
@@ -87,9 +87,9 @@ class DropPoints(PointTransform):
         seed: int = 0,
     ) -> None:
         for name, value in (("dropped", dropped), ("occluded", occluded), ("probability", probability)):
-            check_range(f"DropPoints: {name}", value, 0.0, 1.0)
+            check_range(name, value, 0.0, 1.0)
         if part not in ("ball", "half_space"):
-            raise ConfigError(f"DropPoints: part={part!r} is unknown: give ball or half_space.")
+            raise ConfigError(f"part={part!r} is unknown: give ball or half_space.")
         both = [keys.POINTS, keys.NUM_POINTS]
         super().__init__(in_keys=both, out_keys=list(both), seed=seed)
         self.dropped, self.occluded, self.part, self.probability = dropped, occluded, part, probability

@@ -39,10 +39,10 @@ class CameraImage(PointTransform):
         self, channels: str = "rgbd", *, size: int = 112, far: float = 2.0, camera: CameraName = "wrist"
     ) -> None:
         if channels not in _CHANNELS:
-            raise ConfigError(f"CameraImage: channels={channels!r}: give one of {', '.join(_CHANNELS)}.")
+            raise ConfigError(f"channels={channels!r}: give one of {', '.join(_CHANNELS)}.")
         if size < 1:
-            raise ConfigError(f"CameraImage: size={size}: give at least 1 pixel.")
-        check_range("CameraImage: far", far, 0.0, float("inf"), open_low=True)
+            raise ConfigError(f"size={size}: give at least 1 pixel.")
+        check_range("far", far, 0.0, float("inf"), open_low=True)
         source = camera_keys(camera)
         chosen = {"rgb": source.rgb, "d": source.depth, "m": source.mask}
         super().__init__(
@@ -70,7 +70,9 @@ class CameraImage(PointTransform):
     def _check_is_there(self, names: set) -> None:
         for key in self.in_keys:
             if key not in names:
-                remedy = "choose camera=render" if key[1] == "rgb" else f"give the env a camera {key[0]!r}"
+                remedy = (
+                    "give the env a RenderCamera" if key[1] == "rgb" else f"give the env a camera {key[0]!r}"
+                )
                 raise ConfigError(
                     f"CameraImage({self.channels!r}) finds no {key} in the observation: {remedy}."
                 )

@@ -55,8 +55,8 @@ class RandomMirror(Transform):
         if all(tensordict.get(key, None) is None for key in self._points):
             raise ConfigError(
                 f"RandomMirror finds none of {list(self._points)}, and labels without the cloud that they "
-                "belong to must not be mirrored: name the clouds by point_keys, or leave it out "
-                "(replay.augment=null), as for policies that see images."
+                "belong to must not be mirrored: name the clouds by point_keys, or leave "
+                "RandomMirror out, as for policies that see images."
             )
         draws = torch.randint(0, 2, (*tensordict.batch_size, 2), generator=self._generator)
         sx, sy = (2.0 * draws - 1.0).to(tensordict.device).unbind(-1)

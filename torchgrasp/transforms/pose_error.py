@@ -39,8 +39,8 @@ class CameraPoseError(PointTransform):
         camera: CameraName = "wrist",
         seed: int = 0,
     ) -> None:
-        check_range("CameraPoseError: translation", translation, 0.0, float("inf"))
-        check_range("CameraPoseError: rotation", rotation, 0.0, math.pi)
+        check_range("translation", translation, 0.0, float("inf"))
+        check_range("rotation", rotation, 0.0, math.pi)
         pose = camera_keys(camera).pose
         super().__init__(in_keys=[pose], out_keys=[pose], seed=seed, per_episode=True)
         self.translation, self.rotation = translation, rotation

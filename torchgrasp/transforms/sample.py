@@ -31,7 +31,7 @@ class SamplePoints(PointTransform):
 
     def __init__(self, num_points: int = 1024, *, seed: int = 0) -> None:
         if num_points < 1:
-            raise ConfigError(f"transforms.sample.num_points={num_points}: give at least 1.")
+            raise ConfigError(f"num_points={num_points}: give at least 1.")
         super().__init__(
             in_keys=[keys.POINTS, keys.NUM_POINTS], out_keys=[keys.POINTS, keys.NUM_POINTS], seed=seed
         )
