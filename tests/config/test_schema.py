@@ -1,0 +1,68 @@
+"""Every plain value of a configuration by its type and range, refused by its place."""
+
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from torchgrasp.config.schema import Evaluate, Pendulum, Training, check_values
+from torchgrasp.errors import ConfigError
+
+CONF = str(Path(__file__).parents[2] / "conf")
+
+
+def composed(recipe: str, *overrides: str):
+    with initialize_config_dir(CONF, version_base=None):
+        return compose(recipe, [*overrides])
+
+
+@pytest.mark.parametrize("experiment", ["laptop", "paper", "smoke", "minutes"])
+@pytest.mark.parametrize("recipe", ["td3_bc", "bc", "hindsight"])
+def test_the_configurations_that_come_along_are_fine(recipe, experiment):
+    check_values(composed(recipe, f"experiment={experiment}"), Training)
+
+
+def test_those_of_the_other_recipes_too():
+    check_values(composed("evaluate", "policy=expert"), Evaluate)
+    check_values(composed("view", "policy=expert", "episodes=1"), Evaluate)
+    check_values(composed("pendulum"), Pendulum)
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("demonstrations.steps=inf", "demonstrations.steps=inf is no whole number"),
+        ("collector.num_workers=1.5", "collector.num_workers=1.5 is no whole number"),
+        ("collector.num_workers=null", "collector.num_workers=None is no whole number"),
+        ("evaluation.episodes=true", "evaluation.episodes=True is no whole number"),
+        ("replay.online_capacity=0", "replay.online_capacity=0 is out of range"),
+        ("replay.online_fraction=1.5", "replay.online_fraction=1.5 is out of range"),
+        ("demonstrations.expert_start=maybe", "demonstrations.expert_start=maybe is no switch"),
+        ("demonstrations.weight=-1", "demonstrations.weight=-1 is out of range"),
+        ("model.table_input=maybe", "model.table_input=maybe is no switch"),
+        ("model.critic.goal_input=3", "model.critic.goal_input=3 is no switch"),
+        ("online.milestones=[0.7,0.4]", r"online.milestones=\[0.7, 0.4\]: give shares of the run"),
+        ("online.milestones=0.4", "online.milestones=0.4: give shares of the run"),
+        ("online.decay=0", r"online.decay=0 is out of range: give a value in \(0.0, 1.0\]"),
+        ("online.learning_rate=-1", "online.learning_rate=-1 is out of range"),
+        ("pretrain.learning_rate=fast", "pretrain.learning_rate='fast' is no number"),
+        ("offline.updates=soon", "offline.updates=soon is no whole number"),
+        ("device=toaster", "device=toaster cannot be used"),
+        ("evaluation.baselines=[expert,oracle]", "evaluation.baselines.1='oracle' is unknown"),
+        ("env.horizon=0", "env.horizon=0 is out of range"),
+    ],
+)
+def test_impossible_values_are_refused_by_their_place(override, told):
+    with pytest.raises(ConfigError, match=f"^{told}"):
+        check_values(composed("td3_bc", override), Training)
+
+
+def test_what_was_left_out_is_asked_for():
+    with pytest.raises(ConfigError, match=r"^policy must be given, as policy=\.\.\."):
+        check_values(composed("evaluate"), Evaluate)
+
+
+def test_a_configuration_that_lacks_a_section_is_refused():
+    cfg = composed("td3_bc", "~checkpoint")
+    with pytest.raises(ConfigError, match="^checkpoint is missing"):
+        check_values(cfg, Training)
