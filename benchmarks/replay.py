@@ -20,6 +20,7 @@ from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, MixtureSamp
 from torchgrasp.data.buffer_memory import check_space
 from torchgrasp.errors import ConfigError, check_whole
 from torchgrasp.geometry import ACTION_SIZE, gripper_control_points
+from torchgrasp.runs.checkpoint import load_checkpoint, save_checkpoint
 from torchgrasp.runs.progress import Progress
 
 # Sec. 6.4: 1,024 points, batches of 250, of which 30 % are of 50,000 demonstrated steps beside 2 million.
@@ -34,8 +35,9 @@ def benchmark_replay(cfg: DictConfig) -> dict:
     check_whole("transitions", cfg.transitions, _EXPERT_PART * _HORIZON)
     size = estimate_bytes(cfg.transitions, num_points=_NUM_POINTS, prioritised=True)
     print(f"{cfg.transitions} transitions take {size / 1e9:.2f} GB, and as much of disk when they are saved")
-    with _scratch(cfg.output_dir) as saved:
-        check_space(cfg.transitions, size // cfg.transitions, folder=saved)
+    with _scratch(cfg.output_dir) as scratch:
+        check_space(cfg.transitions, size // cfg.transitions, folder=scratch)
+        saved = scratch / "checkpoint"
         # The first buffer is given up before the second takes as much.
         row, expected = _measure_first(cfg, saved)
         gc.collect()
@@ -45,14 +47,15 @@ def benchmark_replay(cfg: DictConfig) -> dict:
 
 
 def _measure_first(cfg: DictConfig, saved: Path) -> tuple[dict, list[TensorDictBase]]:
-    """Fill, draw and save; returns the figures and the batches that come after saving."""
+    """Fill, draw and save as a run's checkpoint does; returns the figures and the batches that come next."""
     with _scratch(cfg.replay_folder) as home:
         buffer = _make_buffer(cfg, home)
         row = {"transitions": cfg.transitions, "folder": cfg.replay_folder}
         row["build_seconds"] = _seconds(lambda: _fill(buffer, cfg.transitions))
         row["bytes_per_transition"] = buffer.num_bytes() / cfg.transitions
         row |= _time_draws(buffer, cfg.draws)
-        row["save_seconds"] = _seconds(lambda: buffer.dumps(saved))
+        row["save_seconds"] = _seconds(lambda: save_checkpoint(saved, {"buffer": buffer.state_dict()}))
+        row["saved_bytes"] = sum(file.stat().st_size for file in saved.iterdir())
         return row, [buffer.sample() for _ in range(3)]
 
 
@@ -60,7 +63,7 @@ def _measure_second(cfg: DictConfig, saved: Path, expected: list[TensorDictBase]
     """Read what was saved, and compare the batches that come next with the `expected`."""
     with _scratch(cfg.replay_folder) as home:
         buffer = _make_buffer(cfg, home)
-        seconds = _seconds(lambda: buffer.loads(saved))
+        seconds = _seconds(lambda: buffer.load_state_dict(load_checkpoint(saved)["buffer"]))
         if not all(bool((batch == buffer.sample()).all()) for batch in expected):
             raise ConfigError("Batches of the buffer that was read back differ: report this with versions.")
     return {"reload_seconds": seconds, "equal_after_reload": True}
@@ -171,8 +174,9 @@ def _print_row(row: dict) -> None:
     place = "memory" if row["folder"] is None else row["folder"]
     print(
         f"{row['transitions']} transitions in {place}: {row['bytes_per_transition']:.0f} bytes each, "
-        f"filled in {row['build_seconds']:.1f} s, saved in {row['save_seconds']:.1f} s, read back in "
-        f"{row['reload_seconds']:.1f} s, then with the same batches"
+        f"filled in {row['build_seconds']:.1f} s; saved in {row['save_seconds']:.1f} s as "
+        f"{row['saved_bytes'] / 1e9:.2f} GB, read back in {row['reload_seconds']:.1f} s, then with the same "
+        "batches"
     )
     for name in ("uniform", "prioritised"):
         words = ("median", "p95", "computing", "update")

@@ -64,5 +64,5 @@ def test_what_was_left_out_is_asked_for():
 
 def test_a_configuration_that_lacks_a_section_is_refused():
     cfg = composed("td3_bc", "~checkpoint")
-    with pytest.raises(ConfigError, match="^checkpoint is missing"):
+    with pytest.raises(ConfigError, match=r"^checkpoint is missing"):
         check_values(cfg, Training)

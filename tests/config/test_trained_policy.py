@@ -40,7 +40,7 @@ def test_a_name_is_enough(policy):
 
 
 def test_misuse_is_told(tmp_path):
-    with pytest.raises(ConfigError, match="^source='nobody' is not there"):
+    with pytest.raises(ConfigError, match=r"^source='nobody' is not there"):
         torchgrasp.load_policy("nobody")
     with pytest.raises(ConfigError, match=r"holds no weights\.safetensors"):
         torchgrasp.load_policy(tmp_path)

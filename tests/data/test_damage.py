@@ -128,7 +128,7 @@ def test_shards_of_another_format_are_kept(path):
     shard = json.loads(file.read_text())
     del shard["crc32"]
     file.write_text(seal_json({**shard, "format": 3}))
-    with pytest.raises(CheckpointError, match="format 3, not 2"):
+    with pytest.raises(CheckpointError, match=r"format 3.*reads format 2"):
         drop_damaged_shards(path)
     assert file.exists() and (path / "shard_00002").exists()
 
@@ -152,8 +152,8 @@ def test_older_formats_are_told_apart_from_damage(path):
     card = json.loads((path / "card.json").read_text())
     del card["crc32"]
     (path / "card.json").write_text(seal_json({**card, "format": 3}))
-    with pytest.raises(CheckpointError, match="format 3, not 2"):
+    with pytest.raises(CheckpointError, match=r"format 3.*reads format 2"):
         open_demonstrations(path)
     (path / "origin.json").write_text("{}")
-    with pytest.raises(CheckpointError, match=r"written by torchgrasp 0\.1"):
+    with pytest.raises(CheckpointError, match=r"format 1.*reads format 2"):
         open_demonstrations(path)

@@ -8,7 +8,14 @@ from tensordict import TensorDict
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.data.replay_buffers.scheduler import LinearScheduler
 
-from torchgrasp.data import MixtureSampler, MixtureStorage, MixtureWriter, Priority
+from torchgrasp.data import (
+    CompactTransitions,
+    MixtureReplayBuffer,
+    MixtureSampler,
+    MixtureStorage,
+    MixtureWriter,
+    Priority,
+)
 from torchgrasp.data.priorities import PriorityPool
 from torchgrasp.data.sum_tree import SumTree
 from torchgrasp.errors import ConfigError
@@ -133,15 +140,47 @@ def test_weights_make_the_mean_of_each_source_that_of_a_uniform_draw():
     assert sums[0] / sums[1] == pytest.approx(1.0, rel=0.02)
 
 
-def test_a_batch_hands_its_errors_back():
+def test_errors_go_back_to_the_rows_of_a_batch_in_any_buffer():
     for buffer in (make_buffer({"online": 1.0, "expert": 0.0}), make_ordinary()):
-        rows = make_rows(range(8), 0)
-        buffer.extend(rows)
+        buffer.extend(make_rows(range(8), 0))
         batch = buffer.sample()
         assert set(batch["x"].tolist()) == set(range(8))
-        batch["td_error"] = torch.where(batch["x"] == 5, 10.0, 0.0)
-        buffer.update_tensordict_priority(batch)
+        buffer.update_priority(batch["index"], torch.where(batch["x"] == 5, 10.0, 0.0))
         assert (buffer.sample()["x"] == 5).float().mean() > 0.99
+
+
+def make_mixture(priority):
+    """A MixtureReplayBuffer of one episode of eight steps, told apart by their time left."""
+    buffer = MixtureReplayBuffer(
+        {"online": 20},
+        {"online": 1.0},
+        batch_size=200,
+        priority=priority,
+        codec=CompactTransitions(points_key=None, gripper_points=False),
+    )
+    time_left, done = 1.0 - torch.arange(8.0)[:, None] / 8, torch.arange(8)[:, None] == 7
+    ends = {"done": done, "terminated": done, "reward": torch.zeros(8, 1)}
+    following = {"time_left": time_left - 1 / 8, **ends}
+    buffer.extend(TensorDict({"time_left": time_left, "action": torch.zeros(8, 6), "next": following}, [8]))
+    return buffer
+
+
+@pytest.mark.parametrize("shape", [(200,), (200, 1), (200, 2)])
+def test_a_mixture_buffer_takes_the_largest_error_that_a_loss_wrote_for_each_row(shape):
+    buffer = make_mixture(FULL)
+    batch = buffer.sample()
+    errors = torch.zeros(shape)
+    errors.view(200, -1)[:, -1] = torch.where(batch["time_left"] == 0.5, 10.0, 0.0).squeeze(-1)
+    buffer.update_tensordict_priority(batch.set("td_error", errors))
+    assert (buffer.sample()["time_left"] == 0.5).float().mean() > 0.99
+
+
+def test_a_batch_without_errors_is_refused_where_they_count():
+    buffer = make_mixture(FULL)
+    with pytest.raises(ConfigError, match="td_error"):
+        buffer.update_tensordict_priority(buffer.sample())
+    uniform = make_mixture(None)
+    uniform.update_tensordict_priority(uniform.sample())
 
 
 def test_new_rows_and_rows_written_again_count_as_the_largest_error():
@@ -151,7 +190,6 @@ def test_new_rows_and_rows_written_again_count_as_the_largest_error():
     assert buffer.extend(make_rows([4], 0)).tolist() == [0]
     counts = draw_counts(buffer, 100, 4)
     assert (counts / counts.sum()).tolist() == pytest.approx([5 / 8, 1 / 8, 1 / 8, 1 / 8], abs=0.01)
-    assert buffer.sampler.default_priority == pytest.approx(5.0)
 
 
 def test_stubs_are_never_drawn_whatever_error_they_are_given():
@@ -246,8 +284,8 @@ def test_torchrls_scheduler_anneals_beta():
 def test_without_a_priority_errors_change_nothing():
     buffer = make_buffer({"online": 1.0}, priority=None)
     buffer.extend(make_rows(range(4), 0))
-    batch = buffer.sample().set("td_error", torch.rand(200))
-    buffer.update_tensordict_priority(batch)
+    batch = buffer.sample()
+    buffer.update_priority(batch["index"], torch.rand(200))
     assert batch.get("priority_weight", None) is None
     assert set(buffer.sampler.state_dict()) == {"shares", "rows"}
 

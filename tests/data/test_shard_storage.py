@@ -90,7 +90,7 @@ def test_an_empty_index_gives_an_empty_batch(demonstrations):
         assert batch["next", "points"].shape[-2:] == full["points"].shape[-2:]
 
 
-def test_the_files_are_read_only_and_state_is_small(demonstrations):
+def test_the_files_are_read_only_and_state_is_small(demonstrations, tmp_path):
     buffer = demonstrations.buffer(batch_size=8)
     with pytest.raises(RuntimeError, match="writing"):
         buffer.extend(make_episodes(0)[0])
@@ -98,6 +98,9 @@ def test_the_files_are_read_only_and_state_is_small(demonstrations):
         buffer._storage.set(0, None)
     state = buffer.state_dict()
     buffer.load_state_dict(state)
+    buffer.dumps(tmp_path / "buffer")
+    buffer.loads(tmp_path / "buffer")
+    assert sum(file.stat().st_size for file in (tmp_path / "buffer" / "storage").iterdir()) < 100
     other = demonstrations.buffer(batch_size=8, count="failed")
     with pytest.raises(ConfigError, match="cannot go on"):
         other.load_state_dict(state)

@@ -1,6 +1,6 @@
 import pytest
 
-from torchgrasp.data import anneal_shares, split_batch
+from torchgrasp.data import anneal_shares, share_batch, split_batch
 from torchgrasp.data.shares import check_shares
 from torchgrasp.errors import ConfigError
 
@@ -37,3 +37,8 @@ def test_annealing_is_linear_and_clamped():
 def test_shares_that_are_none_are_refused(shares):
     with pytest.raises(ConfigError):
         check_shares(shares)
+
+
+def test_the_own_source_gets_its_fraction_and_the_others_share_the_rest_by_weight():
+    shares = share_batch("online", 0.7, {"expert": 50, "failed": 100})
+    assert shares == pytest.approx({"online": 0.7, "expert": 0.1, "failed": 0.2})

@@ -76,7 +76,7 @@ def test_a_missing_package_is_told_with_its_remedy(tmp_path, monkeypatch, packag
 
 
 def test_what_is_no_logger_or_no_option_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="kind='neptune' .* csv, tensorboard, wandb, mlflow"):
+    with pytest.raises(ConfigError, match=r"kind='neptune' .* csv, tensorboard, wandb, mlflow"):
         make_logger("neptune", tmp_path)
     with pytest.raises(ConfigError, match=r"tensorboard does not take .*\(offline\)"):
         make_logger("tensorboard", tmp_path, offline=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+import torchgrasp
 from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.evaluation.success import SuccessTable
@@ -31,6 +32,7 @@ def test_summary_holds_what_a_number_needs_behind_it(tmp_path):
     assert json.loads((tmp_path / "summary.json").read_text()) == written
     assert written["note"] == "kept"
     assert written["versions"]["torch"] == versions()["torch"]
+    assert written["versions"]["torchgrasp"] == torchgrasp.__version__
     assert written["hardware"] == hardware()
     with pytest.raises(ConfigError, match="env_steps"):
         write_summary(tmp_path, table.summary())

@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
 from torchgrasp.config.build import at_place, build
-from torchgrasp.config.demonstration_sources import list_demonstrations
+from torchgrasp.config.demonstration_sources import list_demonstrations, make_source
 from torchgrasp.config.environments import make_expert
 from torchgrasp.config.exploration import make_demonstrator
 from torchgrasp.config.policies import make_policy
@@ -73,7 +73,7 @@ def gather_sources(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> list[De
             continue
         path = run_dir / ("demonstrations" if name == "expert" else f"demonstrations_{name}")
         collect(each, pool, path)
-        sources.append(_source(each, name, path))
+        sources.append(make_source(each, name, path))
     return sources
 
 
@@ -102,14 +102,7 @@ def take_given(cfg: DictConfig, name: str) -> DemonstrationSource:
         card = begin_demonstrations(path, kind=cfg.demonstrations.kind)
     check_usable(describe_provenance(cfg), path, card)
     _check_enough(cfg, path)
-    return _source(cfg, name, path)
-
-
-def _source(cfg: DictConfig, name: str, path: Path) -> DemonstrationSource:
-    """The source whose options stand in `cfg.demonstrations`, in the folder `path`."""
-    demos = cfg.demonstrations
-    count = resolve_count(demos.count, demos.kind)
-    return DemonstrationSource(name, path, count, labels=demos.labels, weight=demos.weight)
+    return make_source(cfg, name, path)
 
 
 def _check_enough(cfg: DictConfig, path: Path) -> None:

@@ -18,12 +18,13 @@ from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.priorities import Priority
 from torchgrasp.data.sampler import MixtureSampler
 from torchgrasp.data.shares import check_shares
+from torchgrasp.data.state_files import StateFiles
 from torchgrasp.data.storage import SUCCESSOR, MixtureStorage, keep_batch
 from torchgrasp.data.writer import MixtureWriter
 from torchgrasp.errors import ConfigError
 
 
-class MixtureReplayBuffer(TensorDictReplayBuffer):
+class MixtureReplayBuffer(StateFiles, TensorDictReplayBuffer):
     """A TensorDictReplayBuffer of compact transitions from several sources, mixed in exact shares.
 
     `extend` takes tensordicts (*, T) as collectors and rollouts give them; `sample` gives (B).
@@ -120,6 +121,23 @@ class MixtureReplayBuffer(TensorDictReplayBuffer):
     def extend_rows(self, rows: TensorDictBase, *, source: str) -> Tensor:
         """Add `rows` (R) that the codec has encoded, such as a demonstration file's."""
         return self._extend(self._tag(rows, source))
+
+    def update_tensordict_priority(self, data: TensorDictBase) -> None:
+        """Take up the errors (B) or (B, *), the largest of each row, that a loss wrote into a sampled batch.
+
+        Nothing without a priority.
+        """
+        # TorchRL's own passes over every sampler but its PrioritizedSampler.
+        if not self._prioritised:
+            return
+        errors = data.get(self.priority_key, None)
+        if errors is None:
+            raise ConfigError(
+                f"The batch has no {self.priority_key!r}: let the loss write each row's error there before "
+                "it is handed to update_tensordict_priority."
+            )
+        index = data["index"].reshape(-1)
+        self.update_priority(index, errors.reshape(index.numel(), -1).amax(-1))
 
     def _tag(self, data: TensorDictBase, source: str | None) -> TensorDictBase:
         if source is None:

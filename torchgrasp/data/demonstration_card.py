@@ -86,20 +86,20 @@ def add_to_card(card: Mapping[str, Any], shard: Mapping[str, Any]) -> dict[str, 
 def read_card(path: Path) -> dict[str, Any]:
     """What card.json in the folder `path` says; CheckpointError where it is missing or damaged."""
     file = path / _CARD
-    _check_age(path)
+    # Format 1 kept its origin in a file of its own, and no checksums.
+    if (path / "origin.json").exists():
+        check_format(path, 1)
     card = read_sealed_json(file, "restore it from a copy, or collect into another folder")
-    if card.get("format") != FORMAT:
-        raise CheckpointError(
-            f"{file} has format {card.get('format')}, not {FORMAT}: use the version that wrote it."
-        )
+    check_format(file, card.get("format"))
     return card
 
 
-def _check_age(path: Path) -> None:
-    # Format 1 kept its origin in a file of its own, and no checksums.
-    if (path / "origin.json").exists():
+def check_format(path: Path, number: int | None) -> None:
+    """Raise CheckpointError unless `number`, the format of the demonstrations at `path`, is read here."""
+    if number != FORMAT:
         raise CheckpointError(
-            f"{path} was written by torchgrasp 0.1 (format 1, no checksums): collect again with this version."
+            f"{path} holds demonstrations of format {number}, this torchgrasp reads format {FORMAT}: collect "
+            "them again into another folder, or read them with a torchgrasp of their format."
         )
 
 

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, cast
 
 import torch
-from safetensors.torch import load_file, save_file
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
-from torchrl.data.replay_buffers.samplers import PrioritizedSampler, Sampler
+from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.data.replay_buffers.storages import Storage
 
 from torchgrasp import keys
 from torchgrasp.data.index_pool import IndexPool
 from torchgrasp.data.priorities import Priority, PriorityPool
 from torchgrasp.data.shares import check_shares, split_batch
+from torchgrasp.data.state_files import StateFiles
 from torchgrasp.errors import ConfigError, check_range
 
 STUB = "stub"
-# What of the state is written as tensors.
-_TENSORS = ("rows", "weights")
 
 
-class MixtureSampler(Sampler):
+class MixtureSampler(StateFiles, Sampler):
     """Draws every batch with an exact number of rows from each source, within a source by chance.
 
     Works in any TorchRL replay buffer whose rows say where they come from: an int64 `source_key`
@@ -40,7 +36,9 @@ class MixtureSampler(Sampler):
     logarithm. New rows then count as much as the largest error of their source so far. The batch
     gets ``priority_weight`` (B), (N P(i))^-beta by the largest in the batch, N and P those of the
     row's source: rows of one source are corrected towards a uniform draw, and shares stay what they
-    are. ``buffer.update_tensordict_priority(batch)`` takes up the errors that a loss wrote.
+    are. ``buffer.update_priority(batch["index"], batch["td_error"])`` takes up the errors that a loss
+    wrote. So does ``update_tensordict_priority(batch)`` of a `MixtureReplayBuffer`; that of other buffers
+    does nothing here, since TorchRL's knows no sampler with priorities but its own PrioritizedSampler.
 
     Args:
         shares: source name -> share; shares add up to 1.
@@ -60,13 +58,10 @@ class MixtureSampler(Sampler):
     >>> source = (torch.arange(1000) % 10 == 0).long()
     >>> _ = buffer.extend(TensorDict({"x": torch.randn(1000, 3), "source": source}, [1000]))
     >>> batch = buffer.sample()
-    >>> buffer.update_tensordict_priority(batch.set("td_error", torch.rand(250)))
+    >>> buffer.update_priority(batch["index"], torch.rand(250))
     >>> int(batch["source"].sum()), batch["priority_weight"].unique()
     (75, tensor([1.]))
     """
-
-    # How TorchRL's buffers reduce errors of several values a row.
-    reduction = "max"
 
     def __init__(
         self,
@@ -132,15 +127,6 @@ class MixtureSampler(Sampler):
         parts = [cast(PriorityPool, self._pools[name]).relative(each) for name, each in rows.items()]
         weights = torch.cat(parts) ** -self._beta
         return {"priority_weight": (weights / weights.max()).float()}
-
-    @property
-    def default_priority(self) -> float:
-        """The largest error so far, 1 at first: TorchRL's buffers give it to rows that come without one."""
-        pools = self._pools.values()
-        known = [pool.largest for pool in pools if isinstance(pool, PriorityPool) and pool.largest]
-        if self._priority is None or not known or not self._priority.alpha:
-            return 1.0
-        return max(known) ** (1.0 / self._priority.alpha) - self._priority.eps
 
     def update_priority(
         self, index: int | Tensor, priority: float | Tensor, *, storage: Storage | None = None
@@ -213,26 +199,6 @@ class MixtureSampler(Sampler):
             pool.largest = state_dict["largest"][name]
             self._beta = state_dict["beta"]
 
-    def dumps(self, path: str | Path) -> None:
-        """Write `state_dict` into the folder `path`, over what another sampler has left there."""
-        folder = Path(path)
-        folder.mkdir(parents=True, exist_ok=True)
-        state = self.state_dict()
-        for name in _TENSORS:
-            file = folder / f"{name}.safetensors"
-            if name in state:
-                save_file(state.pop(name), file)
-            else:
-                file.unlink(missing_ok=True)
-        (folder / "sampler.json").write_text(json.dumps(state))
-
-    def loads(self, path: str | Path) -> None:
-        """Read what `dumps` wrote."""
-        folder = Path(path)
-        state = json.loads((folder / "sampler.json").read_text())
-        files = {name: folder / f"{name}.safetensors" for name in _TENSORS}
-        self.load_state_dict(state | {name: load_file(file) for name, file in files.items() if file.exists()})
-
     def __repr__(self) -> str:
         return f"MixtureSampler(shares={self._shares}, rows={self.num_rows()})"
 
@@ -241,8 +207,3 @@ def _read(storage: Storage, rows: Tensor, keys: tuple[NestedKey, ...]) -> Tensor
     # MixtureStorage reads single columns; other storages hand out whole rows.
     read_columns = getattr(storage, "read_columns", None)
     return cast(Any, storage).get(rows) if read_columns is None else read_columns(rows, keys)
-
-
-# TorchRL's buffers hand errors on to a PrioritizedSampler alone. To be one in name suffices: its own trees
-# are not needed, and are compiled code that does not load beside every version of torch.
-PrioritizedSampler.register(MixtureSampler)

@@ -12,10 +12,11 @@ from torchrl.data.replay_buffers.storages import Storage
 
 from torchgrasp.data.demonstration_kinds import find_counted
 from torchgrasp.data.sampler import STUB
+from torchgrasp.data.state_files import StateFiles
 from torchgrasp.errors import ConfigError
 
 
-class ShardStorage(Storage):
+class ShardStorage(StateFiles, Storage):
     """A read-only TorchRL storage over memory-mapped shards of encoded rows; nothing is copied.
 
     Its indices count transitions: rows that hold a last observation (stubs) have none, so that any

@@ -19,6 +19,7 @@ from torchgrasp.data.demonstration_card import (
     FORMAT,
     add_to_card,
     begin_demonstrations,
+    check_format,
     read_card,
     write_card,
 )
@@ -188,10 +189,7 @@ def read_shard(folder: Path, *, verify: bool) -> dict[str, Any]:
     """
     remedy = _describe_remedy(folder.parent)
     shard = read_sealed_json(folder / _SHARD, remedy)
-    if shard.get("format") != FORMAT:
-        raise CheckpointError(
-            f"{folder} has format {shard.get('format')}, not {FORMAT}: use the version that wrote it."
-        )
+    check_format(folder, shard.get("format"))
     for name, expected in shard["files"].items():
         check_file(folder / name, expected, remedy, checksum=verify)
     return shard

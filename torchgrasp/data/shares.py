@@ -42,6 +42,16 @@ def split_batch(batch_size: int, shares: Mapping[str, float]) -> dict[str, int]:
     return counts
 
 
+def share_batch(own: str, fraction: float, weights: Mapping[str, float]) -> dict[str, float]:
+    """Shares of a batch: `fraction` for the source `own`, the rest for the others by weight.
+
+    >>> share_batch("online", 0.75, {"expert": 100, "failed": 300})
+    {'online': 0.75, 'expert': 0.0625, 'failed': 0.1875}
+    """
+    total = sum(weights.values())
+    return {own: fraction, **{name: (1.0 - fraction) * each / total for name, each in weights.items()}}
+
+
 def anneal_shares(start: Mapping[str, float], end: Mapping[str, float], progress: float) -> dict[str, float]:
     """Shares on the straight line from `start` (progress <= 0) to `end` (progress >= 1).
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from pathlib import Path
@@ -14,14 +13,13 @@ from torch import Tensor
 from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorStorage, Storage
 
 from torchgrasp.data.buffer_memory import check_space, count_row_bytes
+from torchgrasp.data.state_files import StateFiles
 from torchgrasp.errors import ConfigError
 
 SUCCESSOR = "successor"
-# The file by which tensordict knows a folder of its own.
-_MEMMAP = "meta.json"
 
 
-class MixtureStorage(Storage):
+class MixtureStorage(StateFiles, Storage):
     """A TorchRL storage that keeps each source in its own region, so that none overwrites another.
 
     Row `i` of the k-th source has the flat index `offsets[k] + i`. Regions are TorchRL's
@@ -200,23 +198,6 @@ class MixtureStorage(Storage):
         for name, columns in state_dict["rows"].items():
             rows = TensorDict(columns, [next(iter(columns.values())).shape[0]]).unflatten_keys(".")
             self._regions[name].set(slice(0, rows.shape[0]), rows)
-        self._bump_mutation_revision()
-
-    def dumps(self, path: str | Path) -> None:
-        """Write the filled rows of each source below the folder `path`, memory-mapped by tensordict."""
-        for name, region in self._regions.items():
-            if len(region):
-                region.get(slice(None)).memmap(Path(path) / name, copy_existing=True)
-            elif (Path(path) / name / _MEMMAP).exists():  # of another buffer, that had rows of this source
-                shutil.rmtree(Path(path) / name)
-
-    def loads(self, path: str | Path) -> None:
-        """Read what `dumps` wrote."""
-        self._empty()
-        for name, region in self._regions.items():
-            if (Path(path) / name).is_dir():
-                rows = TensorDict.load_memmap(Path(path) / name, allow_pickle=False)
-                region.set(slice(0, rows.shape[0]), rows)
         self._bump_mutation_revision()
 
 

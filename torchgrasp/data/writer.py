@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,11 +11,12 @@ from torchrl.data.replay_buffers.storages import Storage
 from torchrl.data.replay_buffers.writers import Writer
 
 from torchgrasp import keys
+from torchgrasp.data.state_files import StateFiles
 from torchgrasp.data.storage import MixtureStorage
 from torchgrasp.errors import ConfigError
 
 
-class MixtureWriter(Writer):
+class MixtureWriter(StateFiles, Writer):
     """Writes rows into a MixtureStorage, each source round its own ring, oldest rows first to go.
 
     Args:
@@ -85,12 +84,3 @@ class MixtureWriter(Writer):
         """Undo `state_dict`."""
         self._cursors = dict(state_dict["cursors"])
         self._write_count = state_dict["write_count"]
-
-    def dumps(self, path: str | Path) -> None:
-        """Write `state_dict` into the folder `path`."""
-        Path(path).mkdir(parents=True, exist_ok=True)
-        (Path(path) / "writer.json").write_text(json.dumps(self.state_dict()))
-
-    def loads(self, path: str | Path) -> None:
-        """Read what `dumps` wrote."""
-        self.load_state_dict(json.loads((Path(path) / "writer.json").read_text()))

@@ -7,14 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
-from torch import Tensor
-
 import torchgrasp
 from torchgrasp.data.files import check_file, describe_file, find_folder, replace_folder
+from torchgrasp.data.state_files import read_state, write_state
 from torchgrasp.errors import CheckpointError
-from torchgrasp.runs.packing import pack_tree, unpack_tree
 
 _MANIFEST = "manifest.json"
 # 2: what a learner, its run and its buffer hold stand in entries of their own.
@@ -26,9 +22,8 @@ _REMEDY = "restore the folder from a copy, or begin another run"
 def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
     """Write `state` to the folder `path`, replacing the checkpoint there only once all is on disk.
 
-    Each entry becomes `<name>.json` and, for its tensors, `<name>.safetensors`; what an entry may
-    hold is told by `pack_tree` (state_dicts of modules, optimizers, samplers, replay buffers and
-    generators all qualify). `manifest.json` keeps size and CRC-32 of every file.
+    Each entry becomes files of `write_state`, which tells what an entry may hold. `manifest.json`
+    keeps size and CRC-32 of every file.
     """
     with replace_folder(path) as folder:
         for name, value in state.items():
@@ -36,10 +31,7 @@ def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
                 raise CheckpointError(
                     f"{name!r} names an entry of a checkpoint: use letters, digits, _ and -."
                 )
-            tree, tensors = pack_tree(value)
-            (folder / f"{name}.json").write_text(json.dumps(tree))
-            if tensors:
-                save_file(_separate(tensors), folder / f"{name}.safetensors")
+            write_state(folder, name, value)
         files = {file.name: describe_file(file) for file in sorted(folder.iterdir())}
         manifest = {"format": _FORMAT, "torchgrasp": torchgrasp.__version__, "entries": list(state)}
         (folder / _MANIFEST).write_text(json.dumps({**manifest, "files": files}, indent=2))
@@ -79,7 +71,7 @@ def _load_folder(folder: Path) -> dict[str, Any]:
     manifest = _read_manifest(folder)
     for name, expected in manifest["files"].items():
         check_file(folder / name, expected, _REMEDY)
-    return {name: _load_entry(folder, name) for name in manifest["entries"]}
+    return {name: read_state(folder, name, _REMEDY) for name in manifest["entries"]}
 
 
 def has_checkpoint(path: str | Path) -> bool:
@@ -95,15 +87,6 @@ def checkpoint_exists(run_dir: str | Path | None) -> bool:
 def check_format(path: str | Path) -> None:
     """Refuse the checkpoint at the folder `path` that another version wrote, or whose manifest is damaged."""
     _read_manifest(find_folder(path))
-
-
-def _load_entry(folder: Path, name: str) -> Any:
-    try:
-        tree = json.loads((folder / f"{name}.json").read_text())
-        file = folder / f"{name}.safetensors"
-        return unpack_tree(tree, load_file(file) if file.exists() else {})
-    except (ValueError, KeyError, OSError, RuntimeError, SafetensorError) as error:
-        raise CheckpointError(f"{folder / name} cannot be read ({error}): {_REMEDY}.") from error
 
 
 def _read_manifest(folder: Path) -> dict[str, Any]:
@@ -122,15 +105,3 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
             "wrote it, or begin a new run with init=<its run directory>."
         )
     return manifest
-
-
-def _separate(tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Tensors on the CPU, contiguous, none sharing memory with another (safetensors refuses that)."""
-    seen: set[int] = set()
-    separate = {}
-    for name, tensor in tensors.items():
-        tensor = tensor.cpu().contiguous()
-        owner = tensor.untyped_storage().data_ptr()
-        separate[name] = tensor.clone() if owner in seen else tensor
-        seen.add(owner)
-    return separate

@@ -14,10 +14,11 @@ from typing import Any
 import psutil
 import torch
 
+import torchgrasp
 from torchgrasp.data.files import write_json_atomically
 from torchgrasp.errors import ConfigError
 
-_PACKAGES = ("torchgrasp", "torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
+_PACKAGES = ("torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
 _REQUIRED = (
     *("success_rate", "success_ci95", "episodes", "objects"),
     *("wall_seconds", "env_steps", "gradient_steps", "versions", "hardware"),
@@ -39,7 +40,8 @@ def make_run_dir(recipe: str, *, root: str | Path = "outputs") -> Path:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on; those not installed left out."""
-    found = {"python": platform.python_version()}
+    # From the package itself: a checkout's metadata may be of an earlier installation.
+    found = {"python": platform.python_version(), "torchgrasp": torchgrasp.__version__}
     for package in _PACKAGES:
         try:
             found[package] = version(package)
