@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import roma
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
 
 from torchgrasp import keys
+from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import goal_to_pose, invert_pose
+from torchgrasp.modules.goal_keys import predicts_goal, reads_goal
 from torchgrasp.objectives.functional import pose_distance
+from torchgrasp.objects import GraspObject
+from torchgrasp.rollouts import Episode, EpisodePool
+from torchgrasp.rollouts.episode_pool import copy_for_rollouts
+from torchgrasp.runs import Progress
 
 # The hand turned half about its approach axis z: its fingers change places.
 _HALF_TURN = (-1.0, -1.0, 1.0, 1.0)
@@ -155,3 +162,76 @@ class GraspPredictions(TensorDictModuleBase):
             goal = seen.get(keys.GOAL_PREDICTION if auxiliary else keys.GOAL)
             tensordict.set((keys.GRASP_PREDICTION, name), goal)
         return tensordict
+
+
+def find_predictors(networks: Mapping[str, TensorDictModuleBase]) -> dict[str, TensorDictModuleBase]:
+    """Those of a policy's networks that predict grasps, each behind the goal network if it reads goals.
+
+    A critic that reads goals where the actor has no goal network is left out: it is told the answer.
+    """
+    goal_network = networks.get("goal_network")
+    predictors = {} if goal_network is None else {"goal_network": goal_network}
+    for each in ("actor", "critic"):
+        if each not in networks or not predicts_goal(networks[each]):
+            continue
+        if not reads_goal(networks[each]):
+            predictors[each] = networks[each]
+        elif goal_network is not None:
+            modules: list = [goal_network, networks[each]]
+            predictors[each] = TensorDictSequential(*modules)
+    if not predictors:
+        raise ConfigError("networks predict no goal: give an actor or a critic with goal_prediction=True.")
+    return predictors
+
+
+def measure_grasp_prediction(
+    pool: EpisodePool,
+    expert: TensorDictModuleBase,
+    objects: Sequence[GraspObject],
+    predictors: Mapping[str, TensorDictModuleBase],
+    *,
+    num_episodes: int,
+    num_envs: int,
+    watch: Callable[[str, TensorDictBase, Tensor, Tensor], None] | None = None,
+) -> dict[str, dict]:
+    """{network: its row of Table 5} on the scenes of the environment `test`, which the expert drives through.
+
+    Args:
+        pool: hands over T_BASE_EE, T_BASE_OBJECT, OBJECT_ID, GOAL, HAS_GOAL and GRASP_PREDICTION.
+        expert: drives, and knows its goal.
+        objects: that OBJECT_ID counts in.
+        predictors: of `find_predictors`.
+        num_episodes: that count.
+        num_envs: worlds of the environment.
+        watch: is shown (object name, steps (T,), predictions (T, 4, 4), known grasps (T, K, 4, 4)) of the
+            first network along each trajectory, poses in the ee frame.
+    """
+    policy, tables = (
+        GraspPredictions(expert, predictors),
+        {name: GraspPredictionTable() for name in predictors},
+    )
+    for episode in _expert_episodes(pool, policy, num_episodes, num_envs):
+        grasps = torch.from_numpy(objects[int(episode.steps[keys.OBJECT_ID][0])].grasps)
+        steps = episode.steps[episode.steps[keys.HAS_GOAL][:, 0]]
+        if not len(steps):
+            continue
+        T_ee_object = invert_pose(steps[keys.T_BASE_EE]) @ steps[keys.T_BASE_OBJECT]
+        known = T_ee_object[:, None] @ grasps
+        for name, table in tables.items():
+            predicted = goal_to_pose(steps[keys.GRASP_PREDICTION, name])
+            table.add(predicted, goal_to_pose(steps[keys.GOAL]), known=known)
+            if watch is not None and name == next(iter(tables)):
+                watch(episode.object_name, steps, predicted, known)
+    return {name: table.summary() for name, table in tables.items()}
+
+
+def _expert_episodes(
+    pool: EpisodePool, policy: TensorDictModuleBase, num_episodes: int, num_envs: int
+) -> Iterator[Episode]:
+    done = 0
+    with Progress(num_episodes, description="grasp prediction", unit="episode") as progress:
+        for batch in pool.run("test", copy_for_rollouts(policy), range(-(-num_episodes // num_envs))):
+            for episode in batch[: num_episodes - done]:
+                done += 1
+                progress.update()
+                yield episode

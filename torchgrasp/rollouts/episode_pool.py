@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp import keys
@@ -119,6 +121,11 @@ class SerialPool(EpisodePool):
 
     def close(self) -> None:
         """Nothing was started."""
+
+
+def copy_for_rollouts(policy: Policy) -> Policy:
+    """A copy of the policy for environments, which run on the CPU, in evaluation mode."""
+    return deepcopy(policy).to("cpu").eval() if isinstance(policy, nn.Module) else policy
 
 
 class EpisodeRunner:

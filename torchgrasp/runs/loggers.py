@@ -31,8 +31,8 @@ def make_logger(
         run_dir: TensorBoard's files go to its folder `tensorboard`, those of W&B to `wandb`, and MLflow's to
             `mlflow` unless `tracking_uri` names another store.
         resume_step: of a resumed run the first step that is logged again, None of a new run. TensorBoard
-            drops what it has from there on. W&B goes on with the same run, where the steps after the checkpoint
-            then stand twice. In MLflow the resumed part is another run of the same experiment.
+            drops what it has from there on. W&B goes on with the same run, where the steps after the
+            checkpoint then stand twice. In MLflow the resumed part is another run of the same experiment.
         options: W&B: `project`, `offline` and what else `wandb.init` takes. MLflow: `project` (the
             experiment's name), `tracking_uri` and `tags`.
 

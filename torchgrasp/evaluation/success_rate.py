@@ -1,0 +1,49 @@
+"""Success of a policy on numbered scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from torchgrasp.evaluation.success import SuccessTable
+from torchgrasp.rollouts import Episode, EpisodePool
+from torchgrasp.rollouts.episode_pool import copy_for_rollouts
+from torchgrasp.runs import Progress
+
+
+def evaluate_policy(
+    pool: EpisodePool,
+    policy: Callable,
+    *,
+    num_episodes: int,
+    num_envs: int,
+    description: str,
+    by: Mapping[str, Callable[[Episode], str]] | None = None,
+    watch: Callable[[Episode], None] | None = None,
+) -> dict:
+    """Success of a policy on the first scenes of the pool's environment `test`, and the steps that it took.
+
+    Args:
+        pool: who runs the episodes.
+        policy: a copy of it acts, on the CPU.
+        num_episodes: that count.
+        num_envs: worlds of the environment; with its seed they fix the scenes.
+        description: of the progress bar.
+        by: {name: function} that names the group of an episode; adds a table of the groups under each name.
+        watch: is shown every episode that counts.
+
+    Returns:
+        `SuccessTable.summary()`, the tables of `by`, and `env_steps`.
+    """
+    table, num_steps = SuccessTable(), 0
+    groups = {name: SuccessTable() for name in by or {}}
+    with Progress(num_episodes, description=description, unit="episode") as progress:
+        for batch in pool.run("test", copy_for_rollouts(policy), range(-(-num_episodes // num_envs))):
+            for episode in batch[: num_episodes - table.episodes]:
+                table.add(episode.object_name, episode.success, cause=episode.failure)
+                for name, group in (by or {}).items():
+                    groups[name].add(group(episode), episode.success, cause=episode.failure)
+                if watch is not None:
+                    watch(episode)
+                num_steps += len(episode.steps)
+                progress.update(success_rate=table.success_rate)
+    return {**table.summary(), **{name: each.rows() for name, each in groups.items()}, "env_steps": num_steps}

@@ -1,0 +1,48 @@
+"""Episodes of a policy as mp4 files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from torchrl.envs import TransformedEnv
+
+from torchgrasp.envs import GraspEnv
+from torchgrasp.report.film import EndingRecorder, EpisodeFilm, write_video
+from torchgrasp.rollouts import SerialPool
+from torchgrasp.rollouts.episode_pool import copy_for_rollouts
+from torchgrasp.runs import Progress
+
+
+def record_films(
+    env: TransformedEnv, policy: Callable, folder: Path, *, num_episodes: int, fps: float
+) -> list[Path]:
+    """Write the first episodes of an environment as mp4 files; returns their paths.
+
+    They are run in this process: an episode is the same in every process, and others need not hand over
+    pictures and poses.
+
+    Args:
+        env: a GraspEnv with its transforms.
+        policy: that acts.
+        folder: of the files.
+        num_episodes: how many.
+        fps: frames a second; a step is a frame.
+    """
+    base = env.base_env
+    assert isinstance(base, GraspEnv)
+    fov = base.cameras["camera"].intrinsics.fov
+    recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, fov=fov)
+    paths: list[Path] = []
+    with (
+        Progress(num_episodes, description="videos", unit="video") as progress,
+        SerialPool({"test": lambda: env}) as pool,
+    ):
+        for batch in pool.run("test", copy_for_rollouts(policy), range(-(-num_episodes // base.num_envs))):
+            for row, episode in enumerate(batch[: num_episodes - len(paths)]):
+                word = "lifted" if episode.success else "failed"
+                path = folder / f"{len(paths):03d}_{episode.object_name.replace('/', '_')}_{word}.mp4"
+                frames = film.frames(episode.steps, recorder.endings.pop(row, ()))
+                paths.append(write_video(path, frames, fps=fps))
+                progress.update()
+    return paths
