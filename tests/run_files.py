@@ -6,6 +6,8 @@ from typing import Any
 
 import yaml
 
+from torchgrasp.evaluation.comparison import GroupRow, compare_runs
+from torchgrasp.evaluation.run_results import RunResult, read_result
 from torchgrasp.evaluation.success import SuccessTable
 
 CONFIG = {
@@ -31,3 +33,19 @@ def write_run(folder: Path, seed: int, successes: int, *, config: Any = None, **
     counts = {"wall_seconds": 600.0, "env_steps": 33600, "gradient_steps": 5000}
     (folder / "summary.json").write_text(json.dumps({**success_table(successes), **counts, **summary}))
     return folder
+
+
+def read_runs(folder: Path, successes: dict[int, int], **options: Any) -> list[RunResult]:
+    """A run of ten episodes for each seed."""
+    return [read_result(write_run(folder / str(seed), seed, n, **options)) for seed, n in successes.items()]
+
+
+def compare_four_groups(folder: Path) -> list[GroupRow]:
+    """Three seeds without, the same three with, two other seeds, and one alone."""
+    groups = {
+        "without": read_runs(folder / "a", {0: 3, 1: 4, 2: 5}, wall_seconds=600.0),
+        "with": read_runs(folder / "b", {2: 8, 0: 5, 1: 8}, wall_seconds=1200.0),
+        "other seeds": read_runs(folder / "c", {5: 6, 6: 8}),
+        "alone": read_runs(folder / "d", {0: 10}),
+    }
+    return compare_runs(groups)

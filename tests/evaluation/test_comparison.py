@@ -1,33 +1,18 @@
-import csv
-import io
 import json
 import math
-from pathlib import Path
 
 import pytest
 import yaml
-from run_files import success_table, write_run
+from run_files import compare_four_groups, read_runs, success_table, write_run
 
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.evaluation.comparison import compare_runs
 from torchgrasp.evaluation.run_results import check_same_scenes, read_result
-from torchgrasp.report.comparison_page import to_csv, to_markdown, to_page, to_text, write_comparison
-
-
-def results(folder: Path, successes: dict[int, int], **options):
-    """A run of ten episodes for each seed."""
-    return [read_result(write_run(folder / str(seed), seed, n, **options)) for seed, n in successes.items()]
 
 
 @pytest.fixture
 def rows(tmp_path):
-    groups = {
-        "without": results(tmp_path / "a", {0: 3, 1: 4, 2: 5}, wall_seconds=600.0),
-        "with": results(tmp_path / "b", {2: 8, 0: 5, 1: 8}, wall_seconds=1200.0),
-        "other seeds": results(tmp_path / "c", {5: 6, 6: 8}),
-        "alone": results(tmp_path / "d", {0: 10}),
-    }
-    return compare_runs(groups)
+    return compare_four_groups(tmp_path)
 
 
 def test_three_seeds_by_hand(rows):
@@ -51,26 +36,6 @@ def test_differences_are_paired_by_seed_where_they_can_be(rows):
     assert all(each.over_episodes is not None for each in (paired, welch, alone))
 
 
-def test_the_tables_hold_the_same_numbers(rows, tmp_path):
-    markdown, text, page = to_markdown(rows, title="A | B"), to_text(rows), to_page(rows, title="<b>")
-    for cell in ("40.0 ± 10.0 %", "30.0, 40.0, 50.0", "40.0 % [24.6, 57.7]", "+30.0 points", "[+5.2, +54.8]"):
-        assert cell in markdown and cell in text and cell in page
-    assert "| without | 10.0 | 33,600 | 5,000 |" in markdown and "| with | 20.0 |" in markdown
-    assert "| alone | 0 | 100.0 | 100.0 % |" in markdown and "one run: no interval" in text
-    assert "<td>evaluation.seed</td><td>1000</td>" in page and "<h1>&lt;b&gt;</h1>" in page
-    assert "src=" not in page and "href=" not in page  # it loads nothing
-    paths = write_comparison(tmp_path, rows, title="A | B")
-    assert [path.read_text() for path in paths[:2]] == [markdown, to_csv(rows)]
-
-
-def test_the_csv_has_every_digit(rows):
-    first, second, _, alone = csv.DictReader(io.StringIO(to_csv(rows)))
-    assert (first["seeds"], first["values"], first["difference"]) == ("0;1;2", "0.3;0.4;0.5", "")
-    assert float(second["difference_low_over_seeds"]) == pytest.approx(0.3 - 0.2484138)
-    assert (second["method"], float(second["wall_minutes"]), second["episodes"]) == ("paired", 20.0, "30")
-    assert (alone["std"], alone["method"], alone["difference_low_over_seeds"]) == ("", "", "")
-
-
 def test_another_table_of_the_summary(tmp_path):
     prediction = {"actor": {"trajectories": 7, "expert_goal": {"translation_m": {"min": 0.02, "mean": 0.05}}}}
     comparison = {"policy": success_table(8), "expert": success_table(10)}
@@ -82,7 +47,6 @@ def test_another_table_of_the_summary(tmp_path):
         "actor expert goal translation m min": 0.02,
         "actor expert goal translation m mean": 0.05,
     }
-    assert "0.02" in to_text(compare_runs({"one": [found], "same": [found]}))
     with pytest.raises(ConfigError, match=r"key=planner: .* choose from grasp_prediction, policy, expert"):
         read_result(run, key="planner")
 
@@ -159,7 +123,7 @@ def test_an_evaluation_has_the_seed_of_what_it_evaluated(tmp_path):
 
 
 def test_a_seed_twice_or_none_finished_is_refused(tmp_path):
-    one = results(tmp_path / "a", {0: 3}) + results(tmp_path / "b", {0: 3})
+    one = read_runs(tmp_path / "a", {0: 3}) + read_runs(tmp_path / "b", {0: 3})
     with pytest.raises(ConfigError, match="have the same seed 0"):
         compare_runs({"twice": one})
     with pytest.raises(ConfigError, match="empty: no run has finished"):

@@ -11,7 +11,6 @@ from torchgrasp.evaluation.learning_curves import LearningCurve
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.geometry import gripper_control_points
 from torchgrasp.report.drawing import observed_points
-from torchgrasp.report.html import draw_interval, make_table
 from torchgrasp.report.plots import plot_curves, plot_grasps, to_png, to_svg
 from torchgrasp.report.run_page import Picture, write_report
 
@@ -144,10 +143,17 @@ def test_a_summary_without_success_is_refused(tmp_path):
         write_report(tmp_path, {"objects": {}}, title="A run")
 
 
-def test_cells_are_escaped_and_an_interval_ends_on_its_scale():
-    assert "<td>a &amp; b</td>" in make_table((), [("a & b",)])
-    whole = draw_interval(0.5, 0.0, 1.0)
-    assert re.search(r'x1="6.0" x2="134.0".*cx="70.0"', whole)
+def test_an_interval_is_drawn_on_a_scale_from_0_to_1(tmp_path):
+    row = {"episodes": 4, "successes": 2, "success_rate": 0.5, "success_ci95": [0.0, 1.0]}
+    text = write_report(tmp_path, {**row, "objects": {"mug": row}}, title="A run").read_text()
+    assert len(re.findall(r'x1="6\.0" x2="134\.0" .*\n<circle cx="70\.0"', text)) == 2
+
+
+def test_an_object_that_the_first_policy_never_met_has_empty_cells(tmp_path):
+    tables = {"policy": make_summary("110"), "expert": make_summary("111")}
+    del tables["policy"]["objects"]["mug"]
+    page = read(write_report(tmp_path, {**tables["policy"], "comparison": tables}, title="A run"))
+    assert ["mug", "", "1 of 1", "", "", ""] in page.rows
 
 
 def test_a_curve_is_shaded_only_where_there_is_a_spread():

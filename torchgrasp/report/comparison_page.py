@@ -6,15 +6,15 @@ import csv
 import io
 import math
 from collections.abc import Callable, Sequence
-from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from torchgrasp.data.files import write_text_atomically
 from torchgrasp.evaluation.comparison import Difference, GroupRow, by_measure
 from torchgrasp.evaluation.intervals import Interval
-from torchgrasp.report.html import Markup, draw_interval, make_note, make_page, make_section, make_table
+from torchgrasp.report.pages import render_page
 
 _HEAD = ("", "seeds", "of each", "mean ± s.d.", "episodes", "pooled, 95 % interval")
 _DIFFERENCE = ("", "difference to {first}", "95 % over seeds", "method", "95 % over episodes")
@@ -77,24 +77,27 @@ def to_csv(rows: Sequence[GroupRow]) -> str:
 
 def to_page(rows: Sequence[GroupRow], *, title: str) -> str:
     """An HTML document that loads nothing."""
-    sections = list(chain.from_iterable(_measure_sections(*each) for each in by_measure(rows)))
-    sections.append(make_section("Cost of a run, mean", make_table(*_costs(rows))))
-    sections.append(make_section("How to read the intervals", *(make_note(note) for note in _NOTES)))
-    sections.append(make_section("Runs", make_table(*_runs(rows))))
-    scenes = [(name, value) for name, value in rows[0].runs[0].scenes.items()]
-    sections.append(make_section("The scenes, the same for all", make_table((), scenes), closed=True))
-    return make_page(title, sections)
+    return render_page(
+        "comparison_page",
+        title=title,
+        measures=[_measure(*each) for each in by_measure(rows)],
+        costs=_costs(rows),
+        notes=_NOTES,
+        runs=_runs(rows),
+        scenes=rows[0].runs[0].scenes.items(),
+    )
 
 
-def _measure_sections(measure: str, group: list[GroupRow]) -> list[Markup]:
+def _measure(name: str, group: list[GroupRow]) -> dict[str, Any]:
+    """A measure's tables; each group's line comes with its pooled rate, None where that is no success rate."""
     head, lines = _means(group)
-    pictures = [draw_interval(*row.pooled) if row.pooled else "" for row in group]
-    if any(pictures):
-        head, lines = (*head, ""), [(*line, each) for line, each in zip(lines, pictures, strict=True)]
-    parts = [make_table(head, lines)]
-    if len(group) > 1:
-        parts.append(make_table(*_differences(group)))
-    return [make_section(measure.capitalize(), *parts)]
+    pooled = [row.pooled for row in group]
+    return {
+        "name": name,
+        "head": (*head, "") if any(pooled) else head,
+        "rows": list(zip(lines, pooled, strict=True)),
+        "differences": _differences(group),
+    }
 
 
 Table = tuple[Sequence[object], list[tuple]]

@@ -19,7 +19,7 @@ from torchgrasp.rollouts.episode_pool import Episode
 _AT_MOST = 6  # pictures of each kind: a report is looked through, not archived
 
 
-class FailureAlbum:
+class FailurePictures:
     """The last cloud and the hand before it closed, of the first episodes that failed."""
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class FailureAlbum:
             _draw(self.pictures, episode.steps["next"][-1:], {"hand at the end": np.eye(4)}, words)
 
 
-class GraspAlbum:
+class GraspPictures:
     """Predicted grasps half way along the expert's first trajectories, as in Fig. 8."""
 
     def __init__(self) -> None:
@@ -59,7 +59,9 @@ class GraspAlbum:
             _draw(self.pictures, steps[t : t + 1], hands, f"{object_name}, step {t} of {len(steps)}")
 
 
-def _draw(album: list[Picture], step: TensorDictBase, hands: Mapping[str, np.ndarray], caption: str) -> None:
+def _draw(
+    pictures: list[Picture], step: TensorDictBase, hands: Mapping[str, np.ndarray], caption: str
+) -> None:
     """Add the cloud of a step (1,) with hand poses of its ee frame, both drawn upright in the base frame."""
     if not can_plot() or step.get(keys.POINTS, None) is None:
         return
@@ -67,4 +69,4 @@ def _draw(album: list[Picture], step: TensorDictBase, hands: Mapping[str, np.nda
     cloud = observed_points(points)
     placed = {name: T_base_ee @ hand for name, hand in hands.items()}
     figure = plot_grasps(cloud @ T_base_ee[:3, :3].T + T_base_ee[:3, 3], placed)
-    album.append(Picture(to_png(figure), caption))
+    pictures.append(Picture(to_png(figure), caption))

@@ -32,7 +32,7 @@ def make_logger(
             `mlflow` unless `tracking_uri` names another store.
         resume_step: of a resumed run the first step that is logged again, None of a new run. TensorBoard
             drops what it has from there on. W&B goes on with the same run, where the steps after the
-            checkpoint then stand twice. In MLflow the resumed part is another run of the same experiment.
+            checkpoint then stand twice. In MLflow the rest is another run of the same experiment.
         options: W&B: `project`, `offline` and what else `wandb.init` takes. MLflow: `project` (the
             experiment's name), `tracking_uri` and `tags`.
 
