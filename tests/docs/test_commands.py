@@ -15,14 +15,22 @@ _FENCE = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def _commands():
-    """Distinct (recipe, overrides) of all lines that run one; <placeholders> become a word."""
+    """Distinct (recipe, overrides) of all commands that run one; <placeholders> become a word."""
     found = {}
     for block in (block for page in _PAGES for block in _FENCE.findall(page.read_text())):
-        for line in block.splitlines():
+        for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(re.sub(r"<[^>]*>", "word", line), comments=True)
-            if len(words) > 1 and words[1].startswith("recipes/"):
-                found[" ".join(words)] = (_ROOT / words[1], words[2:])
+            if len(words) > 1 and (recipe := _recipe(*words[:2])) is not None:
+                found[" ".join(words)] = (recipe, words[2:])
     return found
+
+
+def _recipe(program, argument):
+    """The script that `python recipes/<name>.py` or `torchgrasp <name>` runs, if it is a recipe."""
+    if argument.startswith("recipes/"):
+        return _ROOT / argument
+    script = _ROOT / "recipes" / f"{argument}.py"
+    return script if program == "torchgrasp" and script.exists() else None
 
 
 @pytest.mark.parametrize(("recipe", "overrides"), _commands().values(), ids=_commands())

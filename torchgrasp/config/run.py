@@ -15,6 +15,7 @@ from tensordict import TensorDictBase
 from torchgrasp.config.build import build
 from torchgrasp.config.environments import LEARNED_FROM, make_pool, observed_shapes, prepare_objects
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
+from torchgrasp.config.overrides import plain
 from torchgrasp.config.phase_length import count_offline_updates, count_rounds
 from torchgrasp.config.run_files import open_run_dir
 from torchgrasp.config.storage import make_experience
@@ -113,7 +114,7 @@ class Run(Generic[LearnerT]):
         else:
             self.experience.load_demonstrations()
         step = self.gradient_steps + 1 if resumed else None
-        logger = make_logger(run_dir=self.folder, resume_step=step, **self.cfg.logger)
+        logger = make_logger(run_dir=self.folder, resume_step=step, **plain(self.cfg.logger))
         self.log = MetricsLogger(self.folder, resume_step=step, logger=logger)
         self._resources.callback(self.log.close)
 

@@ -89,7 +89,7 @@ def to_page(rows: Sequence[GroupRow], *, title: str) -> str:
 
 
 def _measure(name: str, group: list[GroupRow]) -> dict[str, Any]:
-    """A measure's tables; each group's line comes with its pooled rate, None where that is no success rate."""
+    """A measure's tables; a line comes with its group's pooled rate, None of all but success rates."""
     head, lines = _means(group)
     pooled = [row.pooled for row in group]
     return {
