@@ -15,8 +15,8 @@ from tensordict import TensorDictBase
 from torchgrasp.config.build import build
 from torchgrasp.config.environments import LEARNED_FROM, make_pool, observed_shapes, prepare_objects
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
+from torchgrasp.config.main_phase import MainPhase, count_rounds
 from torchgrasp.config.overrides import plain
-from torchgrasp.config.phase_length import count_offline_updates, count_rounds
 from torchgrasp.config.run_files import open_run_dir
 from torchgrasp.config.storage import make_experience
 from torchgrasp.data.demonstration_sources import DemonstrationSource
@@ -77,7 +77,7 @@ class Run(Generic[LearnerT]):
     log: MetricsLogger
 
     def __init__(self, cfg: DictConfig, learner: LearnerT, *, own: str = "online") -> None:
-        self.cfg, self.learner = cfg, learner
+        self.cfg, self.learner, self._phase = cfg, learner, MainPhase.of(cfg)
         self.experience = make_experience(cfg, learner.networks, observed_shapes(cfg), own=own)
         self.noise = build(cfg.collector.noise).to(cfg.device)
         self.expert_start = build(cfg.collector.expert_start)
@@ -155,12 +155,9 @@ class Run(Generic[LearnerT]):
 
     def iterations(self, description: str) -> Iterator[int]:
         """The numbers of the main phase's iterations, at its rates (Sec. 6.4); saves and logs after each."""
-        offline = count_offline_updates(self.cfg)
+        phase = self._phase
         with Progress(
-            offline or self.cfg.total_env_steps,
-            initial=self._position,
-            description=description,
-            unit="update" if offline else "step",
+            phase.length, initial=self._position, description=description, unit=phase.unit
         ) as progress:
             while self.progress < 1.0:
                 before = self._position
@@ -190,7 +187,7 @@ class Run(Generic[LearnerT]):
 
     def batches(self) -> Iterator[TensorDictBase]:
         """This iteration's batches: `online.updates`, or the last ones of an offline run."""
-        number = self._updates_ahead
+        number = self._phase.updates_ahead(self.iteration)
         with self.stopwatch.part("updates"):
             for _ in range(number):
                 self.gradient_steps += 1
@@ -209,9 +206,7 @@ class Run(Generic[LearnerT]):
     @property
     def progress(self) -> float:
         """Share of the main phase that is done, by updates where it is offline, else by steps."""
-        if total := count_offline_updates(self.cfg):
-            return self.iteration * self.cfg.online.updates / total
-        return self.env_steps / self.cfg.total_env_steps if self.cfg.total_env_steps else 1.0
+        return self._phase.progress(self.iteration, self.env_steps)
 
     @property
     def wall_seconds(self) -> float:
@@ -249,14 +244,7 @@ class Run(Generic[LearnerT]):
 
     @property
     def _position(self) -> int:
-        """How far the main phase is, in the unit of its length."""
-        offline = count_offline_updates(self.cfg)
-        return min(offline, self.iteration * self.cfg.online.updates) if offline else self.env_steps
-
-    @property
-    def _updates_ahead(self) -> int:
-        total, each = count_offline_updates(self.cfg), self.cfg.online.updates
-        return min(each, total - self.iteration * each) if total else each
+        return self._phase.position(self.iteration, self.env_steps)
 
     def _end_iteration(self) -> None:
         """Log the iteration with the learner's success rate, and save it in its turn."""

@@ -35,7 +35,7 @@ def _switch(value: Any) -> bool:
 
 
 def _shares(value: Any) -> list[float]:
-    shares = list(value) if isinstance(value, list | tuple) else [None]
+    shares: list[Any] = list(value) if isinstance(value, list | tuple) else [None]
     numbers = [each for each in shares if type(each) in (int, float) and 0.0 <= each <= 1.0]
     if len(numbers) < len(shares) or numbers != sorted(set(numbers)):
         raise ConfigError(
@@ -259,13 +259,14 @@ def _tell(error: ValidationError) -> str:
     """The first fault, with its place in front."""
     fault = error.errors()[0]
     place = ".".join(str(part) for part in fault["loc"] if not _is_branch(part))
-    own = fault.get("ctx", {}).get("error")
+    context: dict[str, Any] = fault.get("ctx", {})
+    own = context.get("error")
     if isinstance(own, ConfigError):
         return f"{place}{own}"
     if fault["type"] == "missing":
         return f"{place} is missing from the configuration: give it, or take a configuration of conf/."
     if fault["type"] == "literal_error":
-        return f"{place}={fault['input']!r} is unknown: give {fault['ctx']['expected']}."
+        return f"{place}={fault['input']!r} is unknown: give {context['expected']}."
     return f"{place}={fault['input']!r} cannot be used: {fault['msg'].lower()}."
 
 

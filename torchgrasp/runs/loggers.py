@@ -87,7 +87,7 @@ def _find_wandb_id(run_dir: Path) -> str | None:
 
 
 def _make_mlflow(run_dir: Path, resume_step: int | None, options: Mapping[str, Any]) -> Logger:
-    import mlflow
+    import mlflow  # pyright: ignore[reportMissingImports]  no extra of ours installs it
     from torchrl.record.loggers import MLFlowLogger
 
     class _Mlflow(MLFlowLogger):
