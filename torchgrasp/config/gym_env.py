@@ -30,9 +30,10 @@ def make_gym_env(
 
     Example:
         >>> import gymnasium
+        >>> from torchgrasp.envs.gym import ENV_ID
         >>> from torchgrasp.objects import ProceduralObjects
         >>> objects = ProceduralObjects("test", num_objects=1, num_grasps=100)
-        >>> env = gymnasium.make("torchgrasp/Grasp-v0", policy="pretrained", objects=objects)
+        >>> env = gymnasium.make(ENV_ID, policy="pretrained", objects=objects)
         >>> observation, info = env.reset(seed=0)
         >>> sorted(observation)
         ['joints', 'points', 'table_plane', 'time_left', 'wrist_angle']

@@ -23,7 +23,9 @@ from torchgrasp.sim import Physics
 
 
 class TrainedPolicy(TensorDictSequential):
-    """The networks that act, in evaluation mode, and the configuration that they were trained with.
+    """The networks that act, and the configuration that they were trained with.
+
+    In evaluation mode and without gradients: `requires_grad_()` and `train()` go on training it.
 
     Reads what the networks read (points, time left, ...) and writes `action` (*, 6), a relative hand pose in
     metres and radians, and `goal_prediction` (*, 7), the grasp in the ee frame.
@@ -37,7 +39,7 @@ class TrainedPolicy(TensorDictSequential):
         modules: list = [policy]
         super().__init__(*modules)
         self.config = config
-        self.eval()
+        self.eval().requires_grad_(False)
 
     @property
     def horizon(self) -> int:

@@ -1,4 +1,6 @@
-"""GraspEnv by Gymnasium's interface.
+"""GraspEnv by Gymnasium's interface; importing this registers `torchgrasp/Grasp-v0`.
+
+`gymnasium.make("torchgrasp.envs.gym:torchgrasp/Grasp-v0", policy="pretrained")` imports it by itself.
 
 TorchRL's own `register_gym` is not used: its wrapper's `reset` takes neither seed nor options, and it hands
 out torch tensors with a batch dimension for reward and flags, which Gymnasium's checker refuses.
@@ -24,6 +26,8 @@ try:
     from gymnasium import spaces
 except ImportError as error:
     raise ImportError('torchgrasp.envs.gym needs Gymnasium: pip install "torchgrasp[gym]"') from error
+
+ENV_ID = "torchgrasp/Grasp-v0"
 
 
 class GymGrasp(gymnasium.Env):
@@ -113,3 +117,12 @@ def _bounds(key: str) -> tuple[float, float]:
 
 def _box(low: float, high: float, shape: Sequence[int]) -> spaces.Box:
     return spaces.Box(low, high, tuple(shape), dtype=np.float32)
+
+
+def register() -> None:
+    """Make ENV_ID known to Gymnasium, as importing this module does: the environment of a trained policy."""
+    if ENV_ID not in gymnasium.registry:
+        gymnasium.register(ENV_ID, entry_point="torchgrasp.config.gym_env:make_gym_env")
+
+
+register()
