@@ -11,8 +11,6 @@ import time
 
 import hydra
 from omegaconf import DictConfig
-from torchgrasp.evaluation.success_rate import evaluate_policy
-from torchgrasp.report.film_recording import record_films
 
 from torchgrasp.config import (
     LEARNED_FROM,
@@ -30,9 +28,11 @@ from torchgrasp.config import (
     prepare_objects,
     write_page,
 )
+from torchgrasp.evaluation.success_rate import evaluate_policy
 from torchgrasp.report import console
 from torchgrasp.report.episode_pictures import FailurePictures, GraspPictures
 from torchgrasp.report.film import check_video_tools
+from torchgrasp.report.film_recording import record_films
 from torchgrasp.runs import write_summary
 
 

@@ -17,6 +17,8 @@ def test_a_buffer_is_filled_drawn_from_saved_and_read_back(composed, tmp_path, o
     row = benchmark.benchmark(cfg)["rows"]["replay"]
     assert row["equal_after_reload"]
     assert row["bytes_per_transition"] == 6276
+    # What a checkpoint writes: the rows, not what the sampler can form anew from them.
+    assert 5000 * 6200 < row["saved_bytes"] < 5000 * 6276
     for name in ("uniform", "prioritised"):
         assert 0 < row[f"{name}_median_milliseconds"] <= row[f"{name}_p95_milliseconds"]
         assert row[f"{name}_computing_milliseconds"] > 0 and row[f"{name}_update_milliseconds"] > 0

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
-from torchgrasp.objectives.base import GraspLoss
+from torchgrasp.objectives.grasp_loss import GraspLoss
 
 STATE = 5
 

@@ -100,5 +100,6 @@ def test_a_frozen_network_takes_the_weights_of_one_that_was_not():
     trained, frozen = GraspActor(CLOUD), GraspActor(CLOUD, freeze_encoder=True)
     frozen.load_state_dict(trained.state_dict())
     batch = make_batch()
-    assert torch.equal(frozen(batch.clone())["action"], trained(batch.clone())["action"])
+    with torch.no_grad():  # with a graph the trained one computes its winners anew, rounded differently
+        assert torch.equal(frozen(batch.clone())["action"], trained(batch.clone())["action"])
     assert not any(p.requires_grad for p in frozen.module.encoder.parameters())

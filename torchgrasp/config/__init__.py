@@ -3,12 +3,10 @@
 Beside the recipes the only place that sees a `cfg`; nothing here computes a loss or steps a world.
 """
 
-from torchgrasp.config.build import at_place as at_place
-from torchgrasp.config.build import build as build
 from torchgrasp.config.conclusion import conclude as conclude
-from torchgrasp.config.demonstrations import collect as collect
-from torchgrasp.config.demonstrations import gather_sources as gather_sources
-from torchgrasp.config.demonstrations import given_sources as given_sources
+from torchgrasp.config.demonstration_folders import collect as collect
+from torchgrasp.config.demonstration_folders import gather_sources as gather_sources
+from torchgrasp.config.demonstration_folders import given_sources as given_sources
 from torchgrasp.config.environments import LEARNED_FROM as LEARNED_FROM
 from torchgrasp.config.environments import make_expert as make_expert
 from torchgrasp.config.environments import make_pool as make_pool
@@ -27,6 +25,8 @@ from torchgrasp.config.learners import make_actor_critic as make_actor_critic
 from torchgrasp.config.learners import make_imitation_learner as make_imitation_learner
 from torchgrasp.config.one_line_errors import one_line_errors as one_line_errors
 from torchgrasp.config.overrides import plain as plain
+from torchgrasp.config.parts import at_place as at_place
+from torchgrasp.config.parts import build as build
 from torchgrasp.config.policies import make_policy as make_policy
 from torchgrasp.config.report_page import describe_scenes as describe_scenes
 from torchgrasp.config.report_page import write_page as write_page
@@ -35,7 +35,7 @@ from torchgrasp.config.run_files import open_run_dir as open_run_dir
 from torchgrasp.config.run_files import training_config as training_config
 from torchgrasp.config.schema import Pendulum as Pendulum
 from torchgrasp.config.schema import check_values as check_values
-from torchgrasp.config.storage import make_row as make_row
 from torchgrasp.config.trained_policy import load_policy as load_policy
 from torchgrasp.config.trained_policy import make_env as make_env
 from torchgrasp.config.training_checks import check_training as check_training
+from torchgrasp.config.transition_storage import make_row as make_row

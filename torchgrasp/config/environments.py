@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import Compose, TransformedEnv
 
 from torchgrasp import keys
-from torchgrasp.config.build import at_place, build
+from torchgrasp.config.parts import at_place, build
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.geometry import ACTION_SIZE

@@ -5,8 +5,8 @@ from __future__ import annotations
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.config.build import build
 from torchgrasp.config.environments import make_expert
+from torchgrasp.config.parts import build
 from torchgrasp.errors import ConfigError
 
 # What disturbs the expert in demonstrations of a kind.

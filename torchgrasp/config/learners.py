@@ -11,12 +11,12 @@ from tensordict.nn import TensorDictModuleBase
 from torch.optim import Adam
 
 from torchgrasp import keys
-from torchgrasp.config.build import build
 from torchgrasp.config.networks import begin_networks, make_networks
+from torchgrasp.config.parts import build
 from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
 from torchgrasp.modules.goal_keys import predicts_goal
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate, functional
-from torchgrasp.objectives.base import Distance
+from torchgrasp.objectives.grasp_loss import Distance
 from torchgrasp.runs.checkpoint import checkpoint_exists
 from torchgrasp.training import ActorCriticLearner, ImitationLearner
 

@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 
-from torchgrasp.config.build import build
+from torchgrasp.config.parts import build
 from torchgrasp.config.weights_files import weights_file
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.modules.goal_keys import reads_goal

@@ -7,9 +7,9 @@ from pathlib import Path
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
 
-from torchgrasp.config.build import build
 from torchgrasp.config.environments import make_actions, make_expert, make_objects
 from torchgrasp.config.networks import load_acting
+from torchgrasp.config.parts import build
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.planning import OpenLoopPolicy, RandomAction, Relay
 

@@ -12,13 +12,13 @@ from typing import Any, Generic, TypeVar
 from omegaconf import DictConfig, OmegaConf
 from tensordict import TensorDictBase
 
-from torchgrasp.config.build import build
 from torchgrasp.config.environments import LEARNED_FROM, make_pool, observed_shapes, prepare_objects
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
 from torchgrasp.config.main_phase import MainPhase, count_rounds
 from torchgrasp.config.overrides import plain
+from torchgrasp.config.parts import build
 from torchgrasp.config.run_files import open_run_dir
-from torchgrasp.config.storage import make_experience
+from torchgrasp.config.transition_storage import make_experience
 from torchgrasp.data.demonstration_sources import DemonstrationSource
 from torchgrasp.errors import CheckpointError
 from torchgrasp.evaluation.success_rate import evaluate_policy

@@ -11,9 +11,9 @@ from omegaconf import OmegaConf
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs import TransformedEnv
 
-from torchgrasp.config.build import build
 from torchgrasp.config.environments import make_transforms
 from torchgrasp.config.networks import load_acting
+from torchgrasp.config.parts import build
 from torchgrasp.config.weights_files import brought_along, check_weights
 from torchgrasp.envs import GraspEnv, Start, TargetMotion
 from torchgrasp.errors import ConfigError

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from omegaconf import DictConfig
 
-from torchgrasp.config.build import at_place
 from torchgrasp.config.demonstration_sources import list_demonstrations
 from torchgrasp.config.exploration import check_demonstrators
+from torchgrasp.config.parts import at_place
 from torchgrasp.config.schema import Training, check_values
 from torchgrasp.config.weights_files import check_weights
 from torchgrasp.data import count_shards

@@ -1,4 +1,7 @@
-"""Transitions and demonstrations: stored compactly, mixed in exact shares, saved without pickle."""
+"""Transitions and demonstrations: stored compactly, mixed in exact shares, saved without pickle.
+
+Who makes them and who learns from them is not known here. No network and no simulator is loaded.
+"""
 
 from torchgrasp.data.buffer import MixtureReplayBuffer as MixtureReplayBuffer
 from torchgrasp.data.buffer_memory import estimate_bytes as estimate_bytes

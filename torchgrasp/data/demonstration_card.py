@@ -95,7 +95,7 @@ def read_card(path: Path) -> dict[str, Any]:
 
 
 def check_format(path: Path, number: int | None) -> None:
-    """Raise CheckpointError unless `number`, the format of the demonstrations at `path`, is read here."""
+    """Raise CheckpointError unless demonstrations of format `number`, as those at `path`, are read here."""
     if number != FORMAT:
         raise CheckpointError(
             f"{path} holds demonstrations of format {number}, this torchgrasp reads format {FORMAT}: collect "

@@ -1,4 +1,8 @@
-"""The task: a Panda with a wrist camera grasps an object from a table or from a person's hand."""
+"""The task as a TorchRL environment: a Panda with a wrist camera grasps an object from a table or a hand.
+
+Specs, starts, the target's motion and the reward live here. What a network reads is made in transforms,
+and who acts is decided elsewhere.
+"""
 
 from torchgrasp.envs.grasp import GraspEnv as GraspEnv
 from torchgrasp.envs.motion import HandoverTarget as HandoverTarget

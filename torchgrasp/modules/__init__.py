@@ -1,4 +1,8 @@
-"""Encoders of point clouds and images, the actor and critic heads on them, and exploration."""
+"""Networks: encoders of point clouds and images, actor and critic heads on them, and exploration.
+
+They read and write the keys of tensordicts. How they are trained is in objectives and training, and no
+simulator is loaded.
+"""
 
 from torchgrasp.modules.actor import GraspActor as GraspActor
 from torchgrasp.modules.critic import GraspCritic as GraspCritic

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, dispatch
+from tensordict.nn.probabilistic import InteractionType, interaction_type
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, exploration_type
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
@@ -45,7 +45,7 @@ class DecayingUniformNoise(TensorDictModuleBase):
 
     Example:
         >>> from tensordict import TensorDict
-        >>> from torchrl.envs.utils import set_exploration_type
+        >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
         >>> noise = DecayingUniformNoise(annealing_steps=100)
         >>> with set_exploration_type(ExplorationType.RANDOM):
         ...     td = noise(TensorDict({"action": torch.zeros(4, 6)}, [4]))
@@ -102,7 +102,8 @@ class DecayingUniformNoise(TensorDictModuleBase):
     @dispatch()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Change the action in place of the one in `tensordict`."""
-        if exploration_type() is ExplorationType.RANDOM:
+        # TorchRL's ExplorationType by its own name: networks then load without TorchRL's environments.
+        if interaction_type() is InteractionType.RANDOM:
             action = tensordict.get(self.action_key)
             size = action.shape[-1]
             draws = np.array([rng.uniform(-1, 1, size) for rng in self._generators(tensordict)])

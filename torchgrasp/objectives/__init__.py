@@ -1,4 +1,7 @@
-"""Loss modules of the paper, the functions behind them, and target updates."""
+"""Loss modules of the paper, the functions behind them, and target updates.
+
+No optimizer, replay buffer or simulator is known here: a batch comes in, loss terms go out.
+"""
 
 from torchgrasp.objectives.goal_aux import GoalAuxLoss as GoalAuxLoss
 from torchgrasp.objectives.pose_bc import PoseBCLoss as PoseBCLoss

@@ -11,7 +11,7 @@ from tensordict.utils import NestedKey
 from torchgrasp import keys
 from torchgrasp.errors import check_range
 from torchgrasp.objectives import functional
-from torchgrasp.objectives.base import Distance, GraspLoss, unique_keys
+from torchgrasp.objectives.grasp_loss import Distance, GraspLoss, unique_keys
 
 
 class PoseBCLoss(GraspLoss):

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.objectives.base import unique_keys
+from torchgrasp.objectives.grasp_loss import unique_keys
 
 
 class SideBySide(TensorDictModuleBase):

@@ -19,7 +19,7 @@ from torchgrasp import keys
 from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import functional
-from torchgrasp.objectives.base import Distance, GraspLoss, unique_keys
+from torchgrasp.objectives.grasp_loss import Distance, GraspLoss, unique_keys
 from torchgrasp.objectives.side_by_side import SideBySide
 from torchgrasp.objectives.smoothing import TargetSmoothing
 

@@ -1,4 +1,7 @@
-"""What is grasped: objects with surfaces, physics parts, grasps and resting poses."""
+"""What is grasped: objects with surfaces, physics parts, grasps and resting poses, and where they come from.
+
+Geometry alone lives here. No engine and no camera: what moves or is seen is in sim.
+"""
 
 from torchgrasp.objects.acronym import AcronymObjects as AcronymObjects
 from torchgrasp.objects.folder import FolderObjects as FolderObjects

@@ -18,7 +18,7 @@ import numpy as np
 from torchgrasp.errors import ConfigError, ObjectError, check_range
 from torchgrasp.objects.build import assemble
 from torchgrasp.objects.cache import cache_key
-from torchgrasp.objects.files import FileObjects, Source, check_on_error
+from torchgrasp.objects.file_objects import FileObjects, Source, check_on_error
 from torchgrasp.objects.folder import split_of
 from torchgrasp.objects.grasps import GraspCandidates, choose_grasps
 from torchgrasp.objects.model import GraspObject

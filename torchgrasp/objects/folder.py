@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from torchgrasp.errors import ConfigError, ObjectError, check_range
-from torchgrasp.objects.files import FileObjects, Source, check_on_error
+from torchgrasp.objects.file_objects import FileObjects, Source, check_on_error
 from torchgrasp.objects.meshes import MESH_SUFFIXES
 from torchgrasp.objects.scales import read_scales
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, Split

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from torchgrasp.errors import ConfigError, check_range
-from torchgrasp.objects.files import FileObjects, Source
+from torchgrasp.objects.file_objects import FileObjects, Source
 from torchgrasp.objects.solids import Solid
 
 INDEX_DIR = Path(__file__).parent / "data"

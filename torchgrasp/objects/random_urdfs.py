@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.objects.files import Source
+from torchgrasp.objects.file_objects import Source
 from torchgrasp.objects.meshes import reduce_hull
 from torchgrasp.objects.packaged import PackagedObjects, package_folder
 from torchgrasp.objects.sets import SPLITS, Split

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.objects.files import Source
+from torchgrasp.objects.file_objects import Source
 from torchgrasp.objects.packaged import PackagedObjects, package_folder
 
 YcbSplit = Literal["train", "test", "others"]

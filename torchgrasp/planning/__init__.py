@@ -1,4 +1,7 @@
-"""The expert: which grasp to take, and how to get there from any state."""
+"""The expert: which grasp to take, and how to get there from any state.
+
+It reads the world's privileged state, through sim and objects. Nothing learned and no picture comes in here.
+"""
 
 from torchgrasp.planning.disturb import Disturb as Disturb
 from torchgrasp.planning.expert import ExpertPolicy as ExpertPolicy

@@ -12,7 +12,7 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.report.drawing import hand_lines
 from torchgrasp.sim.kinematics import forward_kinematics
 from torchgrasp.sim.panda_pose import arm_poses, hand_poses
-from torchgrasp.sim.parts import FLOOR, Part, furniture, robot_parts
+from torchgrasp.sim.scene_parts import FLOOR, Part, furniture, robot_parts
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 
@@ -35,7 +35,7 @@ class ViewerScene:
         server: whose scene is filled; it is emptied of nothing.
 
     Attributes:
-        robot: handles of the robot's S shapes, in the order of `torchgrasp.sim.parts.robot_parts`.
+        robot: handles of the robot's S shapes, in the order of `torchgrasp.sim.scene_parts.robot_parts`.
         target: handle of the object's mesh, None before the first.
         cloud: handle of the observed points, posed by the hand that they were observed from.
         grasps: handles by name of the grasps drawn.

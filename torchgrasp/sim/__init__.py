@@ -1,4 +1,7 @@
-"""What moves, the Panda, the table and the objects, and the cameras. Only this folder imports sapien."""
+"""What moves: the Panda, the table and the objects in their physics, and the cameras that look at them.
+
+Only this folder imports sapien. TorchRL, rewards and observations are not known here: they are in envs.
+"""
 
 from torchgrasp.sim._sapien import sapien as sapien
 from torchgrasp.sim.appearance import Randomization as Randomization

@@ -14,8 +14,8 @@ from torchgrasp.errors import RenderError
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.appearance import Appearance
 from torchgrasp.sim.camera import CameraIntrinsics
-from torchgrasp.sim.parts import FLOOR, Part, furniture, robot_parts
 from torchgrasp.sim.probe import REMEDY
+from torchgrasp.sim.scene_parts import FLOOR, Part, furniture, robot_parts
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 

@@ -1,1 +1,4 @@
-"""Demonstrations to and from Minari datasets."""
+"""Demonstrations to and from Minari datasets, extra ``minari``.
+
+Only the exchange lives here: what demonstrations hold is decided one folder up.
+"""

@@ -11,9 +11,9 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
-from torchgrasp.config.build import at_place, build
 from torchgrasp.config.demonstration_sources import count_steps, list_demonstrations
 from torchgrasp.config.networks import check_state_inputs
+from torchgrasp.config.parts import at_place, build
 from torchgrasp.data import CompactTransitions
 from torchgrasp.data.buffer_memory import check_space, count_row_bytes
 from torchgrasp.errors import ConfigError

@@ -7,10 +7,10 @@ from pathlib import Path
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.config.build import at_place, build
 from torchgrasp.config.demonstration_sources import list_demonstrations, make_source
 from torchgrasp.config.environments import make_expert
 from torchgrasp.config.exploration import make_demonstrator
+from torchgrasp.config.parts import at_place, build
 from torchgrasp.config.policies import make_policy
 from torchgrasp.config.provenance import (
     check_learner,

@@ -3,7 +3,7 @@
 import pytest
 from omegaconf import OmegaConf
 
-from torchgrasp.config.build import at_place, build
+from torchgrasp.config.parts import at_place, build
 from torchgrasp.errors import ConfigError, check_range
 
 CFG = OmegaConf.create(

@@ -1,0 +1,33 @@
+"""What is imported loads nothing that its user does not need: each case in an interpreter of its own."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+# Simulators and what goes with them, and configuration: no part of a learner's project.
+HEAVY = {"sapien", "embreex", "hydra", "omegaconf", "trimesh", "mujoco"}
+TORCHRL = {"tensordict", "torchrl"}
+UNWANTED = {
+    "torchgrasp": HEAVY | TORCHRL | {"torch"},
+    "torchgrasp.ops": HEAVY | TORCHRL,
+    "torchgrasp.modules": HEAVY | {"torchrl"},
+    "torchgrasp.objectives": HEAVY,
+    "torchgrasp.data": HEAVY,
+    "torchgrasp.runs": HEAVY,
+    "torchgrasp.training": HEAVY,
+}
+
+
+def find_loaded(module):
+    """Names of the top-level modules that are loaded once `module` alone is imported."""
+    code = f"import json, sys, {module}; print(json.dumps(sorted({{m.split('.')[0] for m in sys.modules}})))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.parametrize("module", UNWANTED)
+def test_importing_a_part_loads_nothing_unwanted(module):
+    assert not find_loaded(module) & UNWANTED[module]
