@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import roma
@@ -17,8 +17,8 @@ from torchgrasp.geometry import goal_to_pose, invert_pose
 from torchgrasp.modules.goal_keys import predicts_goal, reads_goal
 from torchgrasp.objectives.functional import pose_distance
 from torchgrasp.objects import GraspObject
-from torchgrasp.rollouts import Episode, EpisodePool
-from torchgrasp.rollouts.episode_pool import copy_for_rollouts
+from torchgrasp.rollouts import EpisodePool
+from torchgrasp.rollouts.episode_pool import run_episodes
 from torchgrasp.runs import Progress
 
 # The hand turned half about its approach axis z: its fingers change places.
@@ -206,32 +206,19 @@ def measure_grasp_prediction(
         watch: is shown (object name, steps (T,), predictions (T, 4, 4), known grasps (T, K, 4, 4)) of the
             first network along each trajectory, poses in the ee frame.
     """
-    policy, tables = (
-        GraspPredictions(expert, predictors),
-        {name: GraspPredictionTable() for name in predictors},
-    )
-    for episode in _expert_episodes(pool, policy, num_episodes, num_envs):
-        grasps = torch.from_numpy(objects[int(episode.steps[keys.OBJECT_ID][0])].grasps)
-        steps = episode.steps[episode.steps[keys.HAS_GOAL][:, 0]]
-        if not len(steps):
-            continue
-        T_ee_object = invert_pose(steps[keys.T_BASE_EE]) @ steps[keys.T_BASE_OBJECT]
-        known = T_ee_object[:, None] @ grasps
-        for name, table in tables.items():
-            predicted = goal_to_pose(steps[keys.GRASP_PREDICTION, name])
-            table.add(predicted, goal_to_pose(steps[keys.GOAL]), known=known)
-            if watch is not None and name == next(iter(tables)):
-                watch(episode.object_name, steps, predicted, known)
-    return {name: table.summary() for name, table in tables.items()}
-
-
-def _expert_episodes(
-    pool: EpisodePool, policy: TensorDictModuleBase, num_episodes: int, num_envs: int
-) -> Iterator[Episode]:
-    done = 0
+    policy, tables = GraspPredictions(expert, predictors), {name: GraspPredictionTable() for name in predictors}
+    episodes = run_episodes(pool, "test", policy, num_episodes=num_episodes, num_envs=num_envs)
     with Progress(num_episodes, description="grasp prediction", unit="episode") as progress:
-        for batch in pool.run("test", copy_for_rollouts(policy), range(-(-num_episodes // num_envs))):
-            for episode in batch[: num_episodes - done]:
-                done += 1
-                progress.update()
-                yield episode
+        for episode in episodes:
+            progress.update()
+            grasps = torch.from_numpy(objects[int(episode.steps[keys.OBJECT_ID][0])].grasps)
+            steps = episode.steps[episode.steps[keys.HAS_GOAL][:, 0]]
+            if not len(steps):
+                continue
+            known = (invert_pose(steps[keys.T_BASE_EE]) @ steps[keys.T_BASE_OBJECT])[:, None] @ grasps
+            for name, table in tables.items():
+                predicted = goal_to_pose(steps[keys.GRASP_PREDICTION, name])
+                table.add(predicted, goal_to_pose(steps[keys.GOAL]), known=known)
+                if watch is not None and name == next(iter(tables)):
+                    watch(episode.object_name, steps, predicted, known)
+    return {name: table.summary() for name, table in tables.items()}

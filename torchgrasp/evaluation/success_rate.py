@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.rollouts import Episode, EpisodePool
-from torchgrasp.rollouts.episode_pool import copy_for_rollouts
+from torchgrasp.rollouts.episode_pool import run_episodes
 from torchgrasp.runs import Progress
 
 
@@ -36,14 +36,14 @@ def evaluate_policy(
     """
     table, num_steps = SuccessTable(), 0
     groups = {name: SuccessTable() for name in by or {}}
+    episodes = run_episodes(pool, "test", policy, num_episodes=num_episodes, num_envs=num_envs)
     with Progress(num_episodes, description=description, unit="episode") as progress:
-        for batch in pool.run("test", copy_for_rollouts(policy), range(-(-num_episodes // num_envs))):
-            for episode in batch[: num_episodes - table.episodes]:
-                table.add(episode.object_name, episode.success, cause=episode.failure)
-                for name, group in (by or {}).items():
-                    groups[name].add(group(episode), episode.success, cause=episode.failure)
-                if watch is not None:
-                    watch(episode)
-                num_steps += len(episode.steps)
-                progress.update(success_rate=table.success_rate)
+        for episode in episodes:
+            table.add(episode.object_name, episode.success, cause=episode.failure)
+            for name, group in (by or {}).items():
+                groups[name].add(group(episode), episode.success, cause=episode.failure)
+            if watch is not None:
+                watch(episode)
+            num_steps += len(episode.steps)
+            progress.update(success_rate=table.success_rate)
     return {**table.summary(), **{name: each.rows() for name, each in groups.items()}, "env_steps": num_steps}

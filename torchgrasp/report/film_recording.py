@@ -10,7 +10,7 @@ from torchrl.envs import TransformedEnv
 from torchgrasp.envs import GraspEnv
 from torchgrasp.report.film import EndingRecorder, EpisodeFilm, write_video
 from torchgrasp.rollouts import SerialPool
-from torchgrasp.rollouts.episode_pool import copy_for_rollouts
+from torchgrasp.rollouts.episode_pool import run_episodes
 from torchgrasp.runs import Progress
 
 
@@ -38,11 +38,11 @@ def record_films(
         Progress(num_episodes, description="videos", unit="video") as progress,
         SerialPool({"test": lambda: env}) as pool,
     ):
-        for batch in pool.run("test", copy_for_rollouts(policy), range(-(-num_episodes // base.num_envs))):
-            for row, episode in enumerate(batch[: num_episodes - len(paths)]):
-                word = "lifted" if episode.success else "failed"
-                path = folder / f"{len(paths):03d}_{episode.object_name.replace('/', '_')}_{word}.mp4"
-                frames = film.frames(episode.steps, recorder.endings.pop(row, ()))
-                paths.append(write_video(path, frames, fps=fps))
-                progress.update()
+        episodes = run_episodes(pool, "test", policy, num_episodes=num_episodes, num_envs=base.num_envs)
+        for episode in episodes:
+            word = "lifted" if episode.success else "failed"
+            path = folder / f"{len(paths):03d}_{episode.object_name.replace('/', '_')}_{word}.mp4"
+            ending = recorder.endings.pop(episode.world - base.first_world, ())
+            paths.append(write_video(path, film.frames(episode.steps, ending), fps=fps))
+            progress.update()
     return paths

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
+from itertools import chain, islice
 from typing import Any
 
 import torch
@@ -126,6 +127,17 @@ class SerialPool(EpisodePool):
 def copy_for_rollouts(policy: Policy) -> Policy:
     """A copy of the policy for environments, which run on the CPU, in evaluation mode."""
     return deepcopy(policy).to("cpu").eval() if isinstance(policy, nn.Module) else policy
+
+
+def run_episodes(
+    pool: EpisodePool, env: str, policy: Policy, *, num_episodes: int, num_envs: int
+) -> Iterator[Episode]:
+    """The first `num_episodes` episodes of an environment of `num_envs` worlds, by a copy of the policy.
+
+    They are ordered by number, then by world, and nobody explores.
+    """
+    batches = pool.run(env, copy_for_rollouts(policy), range(-(-num_episodes // num_envs)))
+    return islice(chain.from_iterable(batches), num_episodes)
 
 
 class EpisodeRunner:

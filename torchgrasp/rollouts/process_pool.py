@@ -6,6 +6,7 @@ import os
 import pickle
 import signal
 import threading
+from contextlib import suppress
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 
@@ -52,16 +53,16 @@ class ProcessWorker(Worker):
         with _STARTING:
             self._process.start()
         theirs.close()  # so that its death closes the pipe
-        self.name = f"Worker {index} (process {self._process.pid})"
+        self._name = f"Worker {index} (process {self._process.pid})"
 
     def run(self, task: Task) -> bytes:
         """Send the task and wait for its answer."""
         try:
-            self._pipe.send((task.env, task.policy, task.number, task.explore))
+            self._pipe.send(task)
             return self._pipe.recv_bytes()
         except (EOFError, OSError) as error:
             self._process.join(timeout=5)
-            raise WorkerLostError(_tell_end(self._process.exitcode)) from error
+            raise WorkerLostError(f"{self._name} {_tell_end(self._process.exitcode)}") from error
 
     def stop(self) -> None:
         """Kill the process; it holds nothing that anybody misses."""
@@ -82,12 +83,9 @@ def _serve(pipe: Connection, packed: bytes) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     torch.set_num_threads(1)
     runner = pickle.loads(packed)
-    while True:
-        try:
-            env, policy, number, explore = pipe.recv()
-        except EOFError:
-            return
-        pipe.send_bytes(answer(runner, env, policy, number, explore))
+    with suppress(EOFError):
+        while True:
+            pipe.send_bytes(answer(runner, pipe.recv()))
 
 
 def _end_with_parent() -> None:

@@ -48,7 +48,6 @@ class RayPool(WorkerPool):
     ) -> None:
         super().__init__(envs, num_workers=num_workers, keep=keep)
         self._ray = import_ray()
-        self._num_cpus = num_cpus
         cores = num_workers * num_cpus
         self._owns_ray = not self._ray.is_initialized()
         if self._owns_ray:
@@ -64,15 +63,15 @@ class RayPool(WorkerPool):
         if found < cores:
             self.close()
             raise ConfigError(
-                f"num_workers={num_workers} of {num_cpus:g} cores each do not fit the {found:g} "
-                "cores of the Ray cluster: let more machines join by `ray start --address=...`, or lower it."
+                f"num_workers={num_workers} of {num_cpus:g} cores each do not fit the {found:g} cores of the "
+                "Ray cluster: let more machines join by `ray start --address=...`, or lower it."
             )
-        actor = self._ray.remote(num_cpus=num_cpus, max_restarts=0)(_RemoteRunner)
-        packed = self._ray.cloudpickle.dumps(self._runner)
-        self._make_actor = lambda: actor.remote(sys.path, packed)
+        # Without max_restarts: of what Ray restarts by itself nobody here is told.
+        self._actor = self._ray.remote(num_cpus=num_cpus)(_RemoteRunner)
+        self._packed = self._ray.cloudpickle.dumps(self._runner)
 
     def _start_worker(self, index: int) -> Worker:
-        return RayWorker(self._ray, index, self._make_actor())
+        return RayWorker(self._ray, index, self._actor.remote(sys.path, self._packed))
 
     def _publish(self, policy: Policy) -> Any:
         return self._ray.put(self._ray.cloudpickle.dumps(policy))
@@ -94,25 +93,23 @@ class RayWorker(Worker):
     """
 
     def __init__(self, ray: ModuleType, index: int, actor: Any) -> None:
-        self._ray, self._actor = ray, actor
-        self._losses = (ray.exceptions.RayActorError, ray.exceptions.OutOfMemoryError)
-        self.name = f"Worker {index}"
-        try:
-            machine, pid = ray.get(actor.whereabouts.remote(), timeout=_START_SECONDS)
-        except self._losses as error:
-            raise WorkerLostError(_tell_loss(error)) from error
-        except ray.exceptions.GetTimeoutError as error:
-            self.stop()
-            raise WorkerLostError(f"found no machine with room for it in {_START_SECONDS:g} s") from error
-        self.name = f"Worker {index} (process {pid} on {machine})"
+        self._ray, self._actor, self._name = ray, actor, f"Worker {index}"
+        place = self._wait_for(actor.whereabouts.remote(), timeout=_START_SECONDS)
+        self._name += f" ({place})"
 
     def run(self, task: Task) -> bytes:
         """Call the actor and wait for its answer."""
-        call = self._actor.run.remote(task.env, task.policy, task.number, task.explore)
+        return self._wait_for(self._actor.run.remote(*task))
+
+    def _wait_for(self, call: Any, *, timeout: float | None = None) -> Any:
+        errors = self._ray.exceptions
         try:
-            return self._ray.get(call)
-        except self._losses as error:
-            raise WorkerLostError(_tell_loss(error)) from error
+            return self._ray.get(call, timeout=timeout)
+        except errors.GetTimeoutError as error:
+            self.stop()
+            raise WorkerLostError(f"{self._name} found no machine with room in {timeout:g} s") from error
+        except (errors.RayActorError, errors.OutOfMemoryError) as error:
+            raise WorkerLostError(f"{self._name} was lost ({_tell_loss(error)})") from error
 
     def stop(self) -> None:
         """Kill the actor; it holds nothing that anybody misses."""
@@ -138,10 +135,10 @@ def _check_address(address: str | None) -> None:
 
 
 def _tell_loss(error: Exception) -> str:
-    """How an actor was lost, after "Worker 0 (process 7 on 10.0.0.1)"."""
+    """The line of Ray's page of text that says how an actor was lost."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     told = [line for line in lines if line.startswith("The actor is dead because")]
-    return f"was lost ({(told or lines or ['Ray tells no reason'])[0]})"
+    return (told or lines or ["Ray tells no reason"])[0]
 
 
 class _RemoteRunner:
@@ -152,10 +149,10 @@ class _RemoteRunner:
         torch.set_num_threads(1)
         self._runner = pickle.loads(runner)
 
-    def whereabouts(self) -> tuple[str, int]:
+    def whereabouts(self) -> str:
         import ray
 
-        return ray.util.get_node_ip_address(), os.getpid()
+        return f"process {os.getpid()} on {ray.util.get_node_ip_address()}"
 
     def run(self, env: str, policy: bytes, number: int, explore: bool) -> bytes:
-        return answer(self._runner, env, policy, number, explore)
+        return answer(self._runner, Task(env, policy, number, explore))

@@ -1,19 +1,16 @@
-"""Workers that may die: each has a thread here that feeds it, replaces it and runs its episode again."""
+"""Workers that may die: a thread here waits for each, replaces it and has its episode run again."""
 
 from __future__ import annotations
 
 import pickle
-import threading
 import traceback
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Future, InvalidStateError
-from contextlib import suppress
-from dataclasses import dataclass, field
-from itertools import count
-from queue import PriorityQueue
-from typing import Any
+from collections import deque
+from collections.abc import Iterable, Mapping
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from queue import LifoQueue
+from typing import Any, NamedTuple
 
 from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.rollouts.episode_pool import EpisodeBatches, EpisodePool, EpisodeRunner, MakeEnv, Policy
@@ -22,31 +19,21 @@ from torchgrasp.rollouts.episode_pool import EpisodeBatches, EpisodePool, Episod
 _MAX_DEATHS = 3
 
 
+class Task(NamedTuple):
+    """One episode number of all worlds; the policy is as `WorkerPool._publish` gives it."""
+
+    env: str
+    policy: Any
+    number: int
+    explore: bool
+
+
 class WorkerLostError(Exception):
-    """What worked on an episode is gone; the text says how."""
-
-
-@dataclass(order=True)
-class Task:
-    """One episode number of all worlds that somebody waits for; the order is that of the requests."""
-
-    order: int
-    env: str = field(compare=False)
-    policy: Any = field(compare=False)  # as `WorkerPool._publish` gives it
-    number: int = field(compare=False)
-    explore: bool = field(compare=False)
-    answer: Future[bytes] = field(compare=False, default_factory=Future)
-    deaths: int = field(compare=False, default=0)
+    """What worked on an episode is gone; the text says which worker it was, and how it ended."""
 
 
 class Worker(ABC):
-    """Runs one task after another somewhere else.
-
-    Attributes:
-        name: tells which one it is, for a warning.
-    """
-
-    name: str
+    """Runs one task after another somewhere else."""
 
     @abstractmethod
     def run(self, task: Task) -> bytes:
@@ -62,6 +49,11 @@ class WorkerPool(EpisodePool):
 
     A worker that dies (SIGKILL, out of memory, a machine that is gone) is named in a warning and replaced,
     and its episode is run again: numbered, it is the same one. Three deaths over one episode are an error.
+    Threads of `concurrent.futures` hand the episodes out. Its ProcessPoolExecutor marks the whole pool broken
+    when one worker dies: it ends the others too, and does not tell which episode it was. Ray's own retries do
+    not tell their caller of a death.
+
+    Close it, or use `with`: a program that ends without that first runs all the episodes still asked for.
 
     Args:
         envs: name -> function that makes the environment; can be pickled.
@@ -77,135 +69,102 @@ class WorkerPool(EpisodePool):
                 f"num_workers={num_workers}: give 1 or more, or take a SerialPool, which needs none."
             )
         super().__init__(envs, keep=keep)
-        self._waiting: PriorityQueue[Task] = PriorityQueue()
-        self._orders = count()
-        self._closing = threading.Event()
+        self._threads = ThreadPoolExecutor(num_workers)
+        self._idle: LifoQueue[int] = LifoQueue()
+        for index in reversed(range(num_workers)):
+            self._idle.put(index)
         self._workers: dict[int, Worker] = {}
-        self._threads = [
-            threading.Thread(target=self._feed, args=(index,), name=f"episodes-{index}", daemon=True)
-            for index in range(num_workers)
-        ]
+        self._closed = False
 
     @abstractmethod
     def _start_worker(self, index: int) -> Worker:
         """A new worker; raises WorkerLostError where it could not begin."""
 
     def _publish(self, policy: Policy) -> Any:
-        """The policy in the form that tasks carry."""
+        """The policy in the form that tasks carry, made once a call of `run`."""
         return pickle.dumps(policy)
 
     def run(
         self, env: str, policy: Policy, numbers: Iterable[int], *, explore: bool = False
     ) -> EpisodeBatches:
         """One list an episode number; the workers begin at once."""
-        for thread in self._threads:
-            if thread.ident is None:
-                thread.start()
         shared = self._publish(policy)
-        tasks = [Task(next(self._orders), env, shared, number, explore) for number in numbers]
-        batches = self._hand_over(tasks)
+        tasks = [Task(env, shared, number, explore) for number in numbers]
+        batches = _hand_over(deque(self._threads.submit(self._insist, task) for task in tasks))
         next(batches)  # begun: from here on, closing it drops its tasks
         return batches
 
-    def _hand_over(self, tasks: Sequence[Task]) -> EpisodeBatches:
-        for task in tasks:
-            self._waiting.put(task)
+    def _insist(self, task: Task) -> bytes:
+        """The answer to a task, by as many workers as it takes."""
+        index, deaths = self._idle.get(), 0
         try:
-            yield []
-            for task in tasks:
-                yield read_answer(task.answer.result())
+            while True:
+                try:
+                    return self._find_worker(index).run(task)
+                except WorkerLostError as death:
+                    deaths += 1
+                    self._bury(index, task, deaths, death)
         finally:
-            for task in tasks:  # those that nobody waits for any longer
-                task.answer.cancel()
+            self._idle.put(index)
 
-    def _feed(self, index: int) -> None:
-        """The life of a thread: tasks for one worker and its successors."""
-        while not self._closing.is_set():
-            task = self._waiting.get()
-            if self._closing.is_set() or task.answer.cancelled():
-                task.answer.cancel()
-                continue
-            try:
-                done = self._worker(index).run(task)
-            except WorkerLostError as death:
-                self._bury(index, task, death)
-            except Exception as error:
-                _settle(task, error)
-            else:
-                _settle(task, done)
-        self._end(index)
-
-    def _worker(self, index: int) -> Worker:
-        """The worker of a thread, a new one where there is none."""
+    def _find_worker(self, index: int) -> Worker:
+        """The worker of that index, a new one where there is none."""
         if index not in self._workers:
             self._workers[index] = self._start_worker(index)
-            if self._closing.is_set():  # too late for `close` to see it
+            if self._closed:  # too late for `close` to see it
                 self._workers[index].stop()
         return self._workers[index]
 
-    def _bury(self, index: int, task: Task, death: WorkerLostError) -> None:
-        """Take note of a death, and queue the task again where there is hope."""
-        dead = self._end(index)
-        if self._closing.is_set():
-            task.answer.cancel()
-            return
-        name = dead.name if dead is not None else f"Worker {index}"
-        what = f"episode {task.number} of the environment {task.env!r}"
-        task.deaths += 1
-        if task.deaths < _MAX_DEATHS:
-            told = f"{name} {death}: another takes its place and runs {what} again."
-            warnings.warn(told, stacklevel=1)
-            self._waiting.put(task)
-            return
-        message = (
-            f"{what[0].upper()}{what[1:]} cost {task.deaths} workers their lives; the last, {name}, {death}. "
-            "If memory ran out, lower num_workers; a SerialPool shows other errors."
-        )
-        _settle(task, TorchgraspError(message))
-
-    def _end(self, index: int) -> Worker | None:
-        worker = self._workers.pop(index, None)
-        if worker is not None:
+    def _bury(self, index: int, task: Task, deaths: int, death: WorkerLostError) -> None:
+        """Tell of a death in a warning; raise an error where there is no hope in another worker."""
+        if (worker := self._workers.pop(index, None)) is not None:
             worker.stop()
-        return worker
+        if self._closed:
+            raise CancelledError
+        what = f"pisode {task.number} of the environment {task.env!r}"
+        if deaths == _MAX_DEATHS:
+            raise TorchgraspError(
+                f"E{what} cost {deaths} workers their lives; the last: {death}. If memory ran out, lower "
+                "num_workers; a SerialPool shows other errors."
+            )
+        warnings.warn(f"{death}: another takes its place and runs e{what} again.", stacklevel=1)
 
     def close(self) -> None:
         """End the workers, whatever they are at."""
-        self._closing.set()
-        for _ in self._threads:
-            self._waiting.put(Task(-1, "", None, 0, False))
+        self._closed = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in list(self._workers.values()):
             worker.stop()
-        for thread in self._threads:
-            if thread.ident is not None:
-                thread.join()
-        while not self._waiting.empty():  # whoever still waits is told
-            self._waiting.get().answer.cancel()
+        self._threads.shutdown()
 
 
-def _settle(task: Task, outcome: bytes | Exception) -> None:
-    with suppress(InvalidStateError):  # dropped meanwhile
-        if isinstance(outcome, Exception):
-            task.answer.set_exception(outcome)
-        else:
-            task.answer.set_result(outcome)
+def _hand_over(answers: deque[Future[bytes]]) -> EpisodeBatches:
+    """First an empty list, then the episodes of each answer; closing it drops those that are to come."""
+    try:
+        yield []
+        while answers:
+            yield read_answer(answers.popleft().result())
+    finally:
+        for each in answers:
+            each.cancel()
 
 
-def answer(runner: EpisodeRunner, env: str, policy: bytes, number: int, explore: bool) -> bytes:
+def answer(runner: EpisodeRunner, task: Task) -> bytes:
     """What a worker makes of a task: pickled (True, episodes) or (False, error).
 
     Bytes rather than tensors, which torch would send as file descriptors.
     """
     try:
-        return pickle.dumps((True, runner.run(env, pickle.loads(policy), number, explore)))
+        policy = pickle.loads(task.policy)
+        return pickle.dumps((True, runner.run(task.env, policy, task.number, task.explore)))
     except Exception as error:
-        told = traceback.format_exc()
+        told = f"In a worker:\n{traceback.format_exc()}"
         try:
-            error.add_note(f"In a worker:\n{told}")
+            error.add_note(told)
             packed = pickle.dumps((False, error))
             pickle.loads(packed)
         except Exception:  # of a class that cannot travel
-            packed = pickle.dumps((False, RuntimeError(f"In a worker:\n{told}")))
+            packed = pickle.dumps((False, RuntimeError(told)))
         return packed
 
 
