@@ -2,14 +2,26 @@ import math
 
 import pytest
 import torch
+from tensordict.nn import TensorDictSequential
+from torchrl.envs import Compose, TransformedEnv
 
+from torchgrasp.envs import GraspEnv
+from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.grasp_prediction import (
     GraspPredictionTable,
+    find_predictors,
     grasp_errors,
+    measure_grasp_prediction,
     nearest_grasp,
     with_half_turn,
 )
 from torchgrasp.geometry import make_pose
+from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic, PointNet
+from torchgrasp.objects import ProceduralObjects
+from torchgrasp.planning import ExpertPolicy
+from torchgrasp.rollouts import SerialPool
+from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+from torchgrasp.transforms import AppendGripperPoints, DepthToPoints, SamplePoints
 
 
 def turned(degrees: float, translation=(0.0, 0.0, 0.0)) -> torch.Tensor:
@@ -88,3 +100,54 @@ def test_a_perfect_prediction_has_no_error_in_any_reading():
 
 def test_an_empty_table_has_no_numbers():
     assert GraspPredictionTable().summary() == {"trajectories": 0}
+
+
+def test_who_reads_goals_stands_behind_the_goal_network():
+    networks = {
+        "actor": GraspActor(PointNet, goal_input=True),
+        "critic": GraspCritic(PointNet, goal_input=True),
+        "goal_network": GoalPredictor(PointNet),
+    }
+    predictors = find_predictors(networks)
+    assert predictors["goal_network"] is networks["goal_network"]
+    for name in ("actor", "critic"):
+        assert isinstance(predictors[name], TensorDictSequential)
+        assert list(predictors[name].module) == [networks["goal_network"], networks[name]]
+        assert "goal" not in predictors[name].in_keys
+
+
+def test_a_critic_that_is_told_the_goal_is_left_out():
+    actor = GraspActor(PointNet)
+    predictors = find_predictors({"actor": actor, "critic": GraspCritic(PointNet, goal_input=True)})
+    assert predictors == {"actor": actor}
+
+
+def test_who_predicts_nothing_is_refused():
+    with pytest.raises(ConfigError, match="goal_prediction=True"):
+        find_predictors({"actor": GraspActor(PointNet, goal_prediction=False)})
+
+
+def test_the_expert_predicts_its_own_goal():
+    """Along the expert's trajectories, from its own goal: no error, and a network's is what it predicts."""
+    objects = ProceduralObjects("train", num_objects=2, num_grasps=100)
+    transforms = Compose(DepthToPoints(), SamplePoints(16), AppendGripperPoints())
+    base = GraspEnv(2, objects=objects, camera=RaycastCamera(CameraIntrinsics(24, 24)), horizon=8)
+    actor, shown = GraspActor(PointNet), []
+    with SerialPool({"test": lambda: TransformedEnv(base, transforms)}) as pool:
+        rows = measure_grasp_prediction(
+            pool,
+            ExpertPolicy(objects, horizon=8),
+            objects,
+            {"actor": actor, "expert": ExpertPolicy(objects, horizon=8, execute=False)},
+            num_episodes=3,
+            num_envs=2,
+            watch=lambda *told: shown.append(told),
+        )
+    assert 1 <= rows["actor"]["trajectories"] == rows["expert"]["trajectories"] == len(shown) <= 3
+    for reading in ("expert_goal", "expert_goal_or_half_turn", "nearest_known_grasp"):
+        row = rows["expert"][reading]
+        assert row["translation_m"]["mean"] < 1e-4 and row["rotation_deg"]["mean"] < 0.1
+        assert rows["actor"][reading]["translation_m"]["min"] > 0.0
+    name, steps, predicted, known = shown[0]
+    assert name in objects.names and predicted.shape == (len(steps), 4, 4)
+    assert known.shape == (len(steps), 100, 4, 4)

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from concurrent.futures import CancelledError
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,15 @@ def test_a_run_that_is_dropped_leaves_the_next_alone(pool, alone):
     assert_same(flat(pool.run("env", policy, [2])), flat(alone.run("env", policy, [2])))
 
 
+def test_runs_take_turns(pool, alone):
+    """A round of training and an evaluation, handed over alternately."""
+    policies = [RandomAction(seed=seed) for seed in (4, 5)]
+    runs = [pool.run("env", policy, range(3)) for policy in policies]
+    turns = [[next(run) for run in runs] for _ in range(3)]
+    for place, policy in enumerate(policies):
+        assert_same(flat(turn[place] for turn in turns), flat(alone.run("env", policy, range(3))))
+
+
 def test_an_error_of_the_policy_is_raised_here_and_ends_nothing(pool):
     with pytest.raises(ConfigError, match="this policy does nothing"):
         flat(pool.run("env", refuse, [0]))
@@ -180,7 +190,7 @@ class TestDeaths:
             assert "was killed by SIGKILL, as it happens when memory runs out" in told
 
     def test_an_episode_that_kills_all_its_workers_is_an_error(self, pool, tmp_path):
-        told = r"Episode 1 .* cost 3 workers their lives.* lower num_workers"
+        told = r"3 workers died over episode 1 .*lower num_workers"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             batches = pool.run("env", Mortal(tmp_path, number=1, deaths=99), range(3))
@@ -189,6 +199,43 @@ class TestDeaths:
                 next(batches)
             assert len(flat(pool.run("env", RandomAction(), [5]))) == 2
         assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_who_started_them(tmp_path, end):
+    """Killed in a run, or by ctrl-C, which reaches workers too: no orphan, one traceback at most."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys\n"
+        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from test_episode_pools import ENVS, ProcessPool, RandomAction\n"
+        "if __name__ == '__main__':\n"
+        "    with ProcessPool(ENVS, num_workers=1) as pool:\n"
+        "        batches = pool.run('env', RandomAction(), range(10_000))\n"
+        "        next(batches)\n"
+        "        print('running', flush=True)\n"
+        "        list(batches)\n"
+    )
+    command, pipe = [sys.executable, str(script)], subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True) as process:
+        assert process.stdout.readline() == "running\n"
+        if end == signal.SIGKILL:
+            process.kill()
+        else:
+            os.killpg(process.pid, end)
+        _, told = process.communicate(timeout=30)  # until the pipe's end: the workers hold it too
+    assert told.count("Traceback") == (end == signal.SIGINT) and told.count("KeyboardInterrupt") <= 1
+
+
+def test_a_closed_pool_keeps_nobody_waiting():
+    pool = ProcessPool(ENVS, num_workers=1)
+    batches = pool.run("env", RandomAction(), range(3))
+    next(batches)
+    pool.close()
+    with pytest.raises(CancelledError):
+        flat(batches)
+    with pytest.raises(RuntimeError, match="after shutdown"):
+        pool.run("env", RandomAction(), [0])
 
 
 def test_whole_episodes_with_the_keys_asked_for():

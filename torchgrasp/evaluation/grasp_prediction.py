@@ -206,7 +206,8 @@ def measure_grasp_prediction(
         watch: is shown (object name, steps (T,), predictions (T, 4, 4), known grasps (T, K, 4, 4)) of the
             first network along each trajectory, poses in the ee frame.
     """
-    policy, tables = GraspPredictions(expert, predictors), {name: GraspPredictionTable() for name in predictors}
+    policy = GraspPredictions(expert, predictors)
+    tables = {name: GraspPredictionTable() for name in predictors}
     episodes = run_episodes(pool, "test", policy, num_episodes=num_episodes, num_envs=num_envs)
     with Progress(num_episodes, description="grasp prediction", unit="episode") as progress:
         for episode in episodes:

@@ -121,13 +121,13 @@ class WorkerPool(EpisodePool):
             worker.stop()
         if self._closed:
             raise CancelledError
-        what = f"pisode {task.number} of the environment {task.env!r}"
+        what = f"episode {task.number} of the environment {task.env!r}"
         if deaths == _MAX_DEATHS:
             raise TorchgraspError(
-                f"E{what} cost {deaths} workers their lives; the last: {death}. If memory ran out, lower "
+                f"{deaths} workers died over {what}; the last: {death}. If memory ran out, lower "
                 "num_workers; a SerialPool shows other errors."
             )
-        warnings.warn(f"{death}: another takes its place and runs e{what} again.", stacklevel=1)
+        warnings.warn(f"{death}: another takes its place and runs {what} again.", stacklevel=1)
 
     def close(self) -> None:
         """End the workers, whatever they are at."""
