@@ -61,14 +61,20 @@ def _at(check: Callable) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-Count = Annotated[int, _at(partial(_whole, 0))]
-Positive = Annotated[int, _at(partial(_whole, 1))]
+def at_least(low: int) -> BeforeValidator:
+    """Of a field that is a whole number, and no smaller than `low`."""
+    return _at(partial(_whole, low))
+
+
+Count = Annotated[int, at_least(0)]
+Positive = Annotated[int, at_least(1)]
 Share = Annotated[float, _at(partial(_number, 0.0, 1.0))]
 NotNegative = Annotated[float, _at(partial(_number, 0.0, float("inf")))]
 # A factor of 0 would end learning at the first milestone without a word.
 Factor = Annotated[float, _at(partial(_number, 0.0, 1.0, open_low=True))]
 Switch = Annotated[bool, _at(_switch)]
 Shares = Annotated[list[float], _at(_shares)]
+Device = Annotated[str, AfterValidator(_device)]
 
 
 class Section(BaseModel):
@@ -187,7 +193,7 @@ class Training(Section):
 
     seed: Count
     num_points: Positive
-    device: Annotated[str, AfterValidator(_device)]
+    device: Device
     total_env_steps: Count
     env: Env
     offline: Offline
