@@ -1,22 +1,20 @@
-"""Experts side by side on the same scenes: time of a plan and of a label, success, consistency of labels."""
+"""suite=planner: experts on the same scenes, by time of a plan and of a label, success, and consistency."""
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from contextlib import nullcontext
-from pathlib import Path
+from importlib.resources import files
 
-import common
 import numpy as np
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
-from hydra.utils import instantiate
+from composition import compose_config
 from omegaconf import DictConfig
 from tensordict import TensorDict
 
 from torchgrasp import keys
+from torchgrasp.config import build, make_split_env
+from torchgrasp.config.environments import make_actions
 from torchgrasp.envs import GraspEnv
 from torchgrasp.envs.scene import Scene
 from torchgrasp.errors import ConfigError
@@ -25,10 +23,9 @@ from torchgrasp.geometry import goal_to_pose
 from torchgrasp.objectives.functional import action_distance, pose_distance
 from torchgrasp.planning import Disturb, ExpertPolicy
 from torchgrasp.planning.distance import distance_field
-from torchgrasp.runs.progress import Progress
+from torchgrasp.runs import Progress
 from torchgrasp.sim.kinematics import forward_kinematics
 
-_CONF = Path(__file__).parents[1] / "conf"
 # Joint angles by which a neighbouring state differs, radians: the hand moves by some 3 mm.
 _NUDGE = 0.005
 # Metres of L_POSE beyond which two labels name different grasps.
@@ -37,24 +34,17 @@ _SAME_GOAL = 0.02
 
 def make_experts(cfg: DictConfig, objects) -> dict[str, ExpertPolicy]:
     """The experts of conf/expert that `experts` names."""
-    known = sorted(file.stem for file in (_CONF / "expert").glob("*.yaml"))
+    folder = files("torchgrasp.conf") / "expert"
+    known = sorted(file.name.removesuffix(".yaml") for file in folder.iterdir())
     if isinstance(cfg.experts, str) or not set(cfg.experts) <= set(known):
         raise ConfigError(f"experts={cfg.experts}: give a list of some of {', '.join(known)}.")
-    options = {"horizon": cfg.env.horizon, "action_space": common.make_actions(cfg)}
-    return {name: instantiate(_compose(name), objects, **options) for name in cfg.experts}
-
-
-def _compose(name: str) -> DictConfig:
-    """conf/expert/<name>.yaml with its defaults."""
-    # Inside a recipe Hydra is at work already.
-    begun = GlobalHydra.instance().is_initialized()
-    with nullcontext() if begun else initialize_config_dir(str(_CONF), version_base=None):
-        return compose("benchmark", [f"expert={name}"]).expert
+    options = {"horizon": cfg.env.horizon, "action_space": make_actions(cfg)}
+    return {name: build(compose_config(f"expert/{name}").expert, objects, **options) for name in cfg.experts}
 
 
 def benchmark_planner(cfg: DictConfig) -> dict:
     """Every expert on the same scenes of the training split's objects, or of objects.split."""
-    env = common.make_env(cfg, "train").base_env
+    env = make_split_env(cfg, "train").base_env
     assert isinstance(env, GraspEnv)
     scenes = [env.scene(0, number) for number in range(cfg.scenes)]
     build = [_seconds(distance_field, env.objects[each]) for each in {scene.object_id for scene in scenes}]

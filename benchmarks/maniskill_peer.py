@@ -1,6 +1,6 @@
 """Steps a second of ManiSkill's PickCube with a wrist camera, one environment on the CPU.
 
-Run by benchmark.py in a Python of its own, which has mani-skill installed (3.0.1 was measured). The
+Run by env_speed.py in a Python of its own, which has mani-skill installed (3.0.1 was measured). The
 camera is of our size; depth and segmentation are rendered, as a grasping policy needs them.
 """
 

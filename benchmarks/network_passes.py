@@ -1,4 +1,4 @@
-"""Speed and memory of encoders and of whole updates, ours against the plain construction in PyTorch."""
+"""Passes through networks with one encoder after the other: ours, and the plain construction in PyTorch."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from functools import partial
 
 import torch
 from omegaconf import DictConfig
-from tensordict import TensorDict
 from torch import Tensor, nn
 
-from torchgrasp.modules import GraspActor, GraspCritic, PointNet, PointNet2
+from torchgrasp.modules import PointNet, PointNet2
 from torchgrasp.modules.plain_pointnet2 import PlainPointNet2
-from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
 _BOX = (0.06, 0.08, 0.10)  # metres
 
 Encoder = Callable[[int], nn.Module]
+# From an encoder, the options of `clouds` and a device: the pass, and how many weights it trains.
+MakePass = Callable[[Encoder, dict, torch.device], tuple[Callable[[], None], int]]
 
 
 def _plain(in_channels: int, norm: str = "none") -> PlainPointNet2:
@@ -55,17 +55,8 @@ def make_clouds(batch: int, num_points: int, *, seed: int) -> Tensor:
     return torch.cat((points, torch.zeros(batch, num_points, 1)), dim=-1)
 
 
-def benchmark_encoder(cfg: DictConfig) -> list[dict]:
-    """Forward and backward of `batch` clouds of `points` points, one encoder after the other."""
-    return _compare(cfg, "encoder", _encoder_pass)
-
-
-def benchmark_update(cfg: DictConfig) -> list[dict]:
-    """Two critic updates and one actor update after Eq. (3) and (4), targets included, by encoder."""
-    return _compare(cfg, "update", _update_pass)
-
-
-def _compare(cfg: DictConfig, what: str, make: Callable) -> list[dict]:
+def compare_encoders(cfg: DictConfig, what: str, make: MakePass) -> list[dict]:
+    """Time, memory and size of the pass that `make` builds, one encoder after the other."""
     rows: list[dict] = []
     for name in _ENCODERS:
         if name.endswith("compiled") and not cfg.clouds.compiled:
@@ -82,14 +73,15 @@ def _compare(cfg: DictConfig, what: str, make: Callable) -> list[dict]:
     return rows
 
 
-def _in_process(make: Callable, name: str, cfg: DictConfig) -> dict:
+def _in_process(make: MakePass, name: str, cfg: DictConfig) -> dict:
     """Measure in a process of its own, whose largest memory is then this encoder's."""
     options = {**cfg.clouds, "device": cfg.device}
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(_measure, (make, name, options))
+        return pool.apply(measure_pass, (make, name, options))
 
 
-def _measure(make: Callable, name: str, options: dict) -> dict:
+def measure_pass(make: MakePass, name: str, options: dict) -> dict:
+    """Median seconds, megabytes and weights of a pass with the encoder `name`, after one that warms up."""
     torch.set_num_threads(options["threads"])
     torch.manual_seed(0)
     encoder, low, compiled = _ENCODERS[name]
@@ -121,57 +113,3 @@ def _peak_megabytes(device: torch.device) -> float:
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated() / 2**20
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-
-
-def _encoder_pass(make: Encoder, options: dict, device: torch.device) -> tuple[Callable, int]:
-    encoder = make(4).to(device)
-    clouds = make_clouds(options["batch"], options["points"], seed=0).to(device)
-
-    def run() -> None:
-        encoder.zero_grad(set_to_none=True)
-        encoder(clouds).float().square().mean().backward()
-
-    return run, sum(p.numel() for p in encoder.parameters())
-
-
-def _update_pass(make: Encoder, options: dict, device: torch.device) -> tuple[Callable, int]:
-    loss = GraspTD3BCLoss(GraspActor(make).to(device), GraspCritic(make).to(device)).to(device)
-    targets = StaggeredTargetUpdate(loss)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=1e-4)
-    data = _make_batch(options["batch"], options["points"]).to(device)
-
-    def descend(terms: TensorDict) -> None:
-        optimizer.zero_grad(set_to_none=True)
-        torch.stack([value for key, value in terms.items() if str(key).startswith("loss_")]).sum().backward()
-        optimizer.step()
-
-    def run() -> None:
-        for _ in range(2):
-            descend(loss.critic_loss(data))
-            targets.step()
-        descend(loss.actor_loss(data))
-
-    return run, sum(p.numel() for p in loss.parameters())
-
-
-def _make_batch(batch: int, points: int) -> TensorDict:
-    """Transitions as the replay buffer gives them, of arbitrary labels."""
-    generator = torch.Generator().manual_seed(1)
-
-    def state(seed: int) -> dict:
-        time_left = torch.rand(batch, 1, generator=generator)
-        return {"points": make_clouds(batch, points, seed=seed), "time_left": time_left}
-
-    goal = torch.nn.functional.normalize(torch.randn(batch, 4, generator=generator), dim=-1)
-    ends = torch.rand(batch, 1, generator=generator)
-    action = 0.05 * (torch.rand(2, batch, 6, generator=generator) - 0.5)
-    return TensorDict(
-        {
-            **state(2),
-            "action": action[0],
-            "expert_action": action[1],
-            "goal": torch.cat((0.1 * torch.rand(batch, 3, generator=generator), goal), dim=-1),
-            "next": {**state(3), "reward": (ends > 0.97).float(), "terminated": ends > 0.95},
-        },
-        [batch],
-    )

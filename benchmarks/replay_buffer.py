@@ -1,4 +1,4 @@
-"""The replay buffer when it is full: bytes, time to fill, to draw, to save and to read back."""
+"""suite=replay: the replay buffer when it is full: bytes, time to fill, to draw, to save and to read back."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, MixtureSamp
 from torchgrasp.data.buffer_memory import check_space
 from torchgrasp.errors import ConfigError, check_whole
 from torchgrasp.geometry import ACTION_SIZE, gripper_control_points
-from torchgrasp.runs.checkpoint import load_checkpoint, save_checkpoint
-from torchgrasp.runs.progress import Progress
+from torchgrasp.runs import Progress, load_checkpoint, save_checkpoint
 
 # Sec. 6.4: 1,024 points, batches of 250, of which 30 % are of 50,000 demonstrated steps beside 2 million.
 _NUM_POINTS, _BATCH, _SHARES, _EXPERT_PART = 1024, 250, {"online": 0.7, "expert": 0.3}, 40

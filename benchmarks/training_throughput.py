@@ -1,26 +1,21 @@
-"""Throughput of the online phase of training: rollouts and updates, by collector.num_workers and overlap."""
+"""suite=training: rollouts and updates of td3_bc's online phase, by collector.num_workers and overlap."""
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import collect
-import common
 import numpy as np
-import td3_bc
-from hydra import compose, initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
-from learner import Learner
+from composition import compose_config
 from omegaconf import DictConfig
 
-from torchgrasp.errors import ConfigError, check_whole
+from torchgrasp.config import Run, gather_sources, make_actor_critic, training_config
+from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.learning_curves import read_metrics
-from torchgrasp.runs.metrics import MetricsLogger
+from torchgrasp.recipes.td3_bc import reinforce  # pyright: ignore[reportMissingImports]  recipes/ as installed
+from torchgrasp.runs import seed_everything
 
-_CONF = Path(__file__).resolve().parents[1] / "conf"
 _HEAD: tuple[str, ...] = (
     "workers",
     "env steps/s",
@@ -38,58 +33,47 @@ def benchmark_training(cfg: DictConfig) -> dict[str, dict[str, float]]:
 
     The loop is td3_bc's own, and so are the figures: what it writes into metrics.csv.
     """
-    check_workers(cfg)
+    if not cfg.training.workers:
+        raise ConfigError("training.workers=[]: give at least one number of workers, such as [0,1,2].")
     rows: dict[str, dict[str, float]] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for number, (name, overrides) in enumerate(_variants(cfg)):
-            rows[name] = _measure(_compose(cfg, *overrides), cfg, Path(folder), number)
+        for name, overrides in _list_variants(cfg):
+            rows[name] = _measure(_compose(cfg, *overrides), cfg.training.warmup, Path(folder))
             print(f"{name}: {rows[name]['iteration_seconds']:.1f} s an iteration", flush=True)
     _print_table(rows)
     return rows
 
 
-def check_workers(cfg: DictConfig) -> None:
-    """Refuse an empty list and numbers of workers that there cannot be."""
-    if not cfg.training.workers:
-        raise ConfigError("training.workers=[]: give at least one number of workers, such as [0,1,2].")
-    for workers in cfg.training.workers:
-        check_whole("training.workers", workers, 0)
-
-
-def _variants(cfg: DictConfig) -> Iterator[tuple[str, list[str]]]:
-    """Names and overrides; overlap where the configured collector offers it and there are workers."""
-    can_overlap = "overlap" in _compose(cfg).collector
+def _list_variants(cfg: DictConfig) -> Iterator[tuple[str, list[str]]]:
+    """Names and overrides: every number of workers, and with any of them overlapping as well."""
     for workers in cfg.training.workers:
         given = [f"collector.num_workers={workers}"]
-        yield str(workers), [*given, *(["collector.overlap=false"] if can_overlap else [])]
-        if can_overlap and workers:
+        yield str(workers), [*given, "collector.overlap=false"]
+        if workers:
             yield f"{workers}, overlapping", [*given, "collector.overlap=true"]
 
 
 def _compose(cfg: DictConfig, *overrides: str) -> DictConfig:
     """The configuration of td3_bc.py, long enough for the iterations and without checkpoints between."""
-    begun = GlobalHydra.instance().is_initialized()  # by hydra.main
-    with contextlib.nullcontext() if begun else initialize_config_dir(str(_CONF), version_base=None):
-        chosen = compose("td3_bc", [*cfg.training.overrides, *overrides])
+    chosen = compose_config("td3_bc", [*cfg.training.overrides, *overrides])
     rounds = -(-chosen.collector.episodes // chosen.env.num_envs)
     steps = rounds * chosen.env.num_envs * chosen.env.horizon
     chosen.total_env_steps = (cfg.training.warmup + cfg.training.iterations) * steps
     chosen.checkpoint.iterations = 10**9
+    chosen.evaluation.num_objects = 1  # nothing is evaluated, but a run prepares these objects too
     chosen.seed, chosen.device = cfg.seed, cfg.device
-    return chosen
+    return training_config(chosen, "td3_bc")
 
 
-def _measure(chosen: DictConfig, cfg: DictConfig, folder: Path, number: int) -> dict[str, float]:
-    run_dir = folder / str(number)
-    learner = Learner(chosen, common.observed_shapes(chosen))
-    logger = MetricsLogger(run_dir, tensorboard=False)
-    with common.make_pool(chosen) as pool, contextlib.closing(logger):
-        common.prepare_objects(chosen, "train")
-        sources = collect.demonstrations(chosen, pool, folder)  # the first row's serve all
-        learner.experience.make_buffer(sources)
-        learner.experience.load_demonstrations()
-        td3_bc.reinforce(chosen, learner, logger, pool, run_dir)
-    return _summarise(run_dir, cfg.training.warmup)
+def _measure(chosen: DictConfig, warmup: int, folder: Path) -> dict[str, float]:
+    """One run of the online phase below `folder`, where all runs share their demonstrations."""
+    chosen.output_dir = str(folder)
+    seed_everything(chosen.seed)
+    with Run(chosen, make_actor_critic(chosen)) as run:
+        run.begin(gather_sources(chosen, run.pool, folder))
+        run.stopwatch.measure()  # what came before is not the loop's
+        reinforce(run)
+    return _summarise(run.folder, warmup)
 
 
 def _summarise(run_dir: Path, warmup: int) -> dict[str, float]:

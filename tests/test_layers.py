@@ -151,14 +151,16 @@ def test_the_package_itself_imports_its_parts_only_when_they_are_asked_for():
 
 
 @pytest.mark.parametrize("folder", SCRIPTS)
-def test_scripts_import_the_package_and_no_recipe(folder):
+def test_scripts_import_what_they_may_and_recipes_no_other_recipe(folder):
     files = sorted((CHECKOUT / folder).glob("*.py"))
     own = {file.stem for file in files} if folder == "benchmarks" else set()
     known = SCRIPTS[folder] | sys.stdlib_module_names | own
+    # A benchmark times the loop of a recipe.
+    hidden = {"recipes"} if folder == "recipes" else set()
     found = {}
     for file in files:
         imports = find_imports(file)
-        found[file] = {each.name for each in imports if each.root not in known or each.part == "recipes"}
+        found[file] = {each.name for each in imports if each.root not in known or each.part in hidden}
     breaches = tell(found)
     assert files
     assert not breaches

@@ -1,4 +1,4 @@
-"""The pictures of the documentation: python recipes/pictures.py [folder], docs/pictures by default.
+"""The pictures of the documentation: python docs/pictures/make_pictures.py [folder], its own by default.
 
 Needs a renderer (`python -m torchgrasp doctor`) and the extras ycb, random-urdfs, acronym and viz. The first
 run prepares some thirty objects.
@@ -10,16 +10,16 @@ import sys
 import tempfile
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from hydra.utils import instantiate
-from object_pictures import picture_objects
+from contact_sheet import Tile, coloured, sheet
+from object_sets import picture_objects
 from omegaconf import OmegaConf
-from sheets import Tile, coloured, sheet
 
 from torchgrasp import keys
-from torchgrasp.config.one_line_errors import one_line_errors
+from torchgrasp.config import build, one_line_errors
 from torchgrasp.envs import GraspEnv, HandoverTarget, TabletopStart
 from torchgrasp.objects import YcbObjects
 from torchgrasp.objects.model import GraspObject
@@ -27,7 +27,8 @@ from torchgrasp.planning import ExpertPolicy
 from torchgrasp.report.drawing import enlarge, shade_depth
 from torchgrasp.sim import CameraIntrinsics, Physics, Randomization, RenderCamera, View, look_at
 
-_ROOT = Path(__file__).parents[1]
+_HERE = Path(__file__).resolve().parent
+_CONF = _HERE.parents[1] / "conf"
 _OUTSIDE = RenderCamera(
     CameraIntrinsics(320, 256, fov=0.85, near=0.05, far=6.0),
     T_base_camera=look_at((1.4, -0.85, 0.75), (0.35, 0.0, 0.3)),
@@ -68,8 +69,9 @@ def picture_cameras(folder: Path, target: GraspObject) -> None:
     sheet(folder / "cameras.jpg", [(name, enlarge(each, 224)) for name, each in tiles], columns=4)
 
 
-def _configured(name: str):
-    return instantiate(OmegaConf.load(_ROOT / "conf" / f"{name}.yaml"))
+def _configured(name: str) -> Any:
+    """What conf/<name>.yaml describes."""
+    return build(OmegaConf.load(_CONF / f"{name}.yaml"))
 
 
 def outside(env: GraspEnv) -> np.ndarray:
@@ -127,4 +129,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else _ROOT / "docs/pictures")
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else _HERE)

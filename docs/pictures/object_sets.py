@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from contact_sheet import sheet
 from example_meshes import write_acronym, write_meshes
-from sheets import sheet
 
 from torchgrasp.objects import (
     AcronymObjects,

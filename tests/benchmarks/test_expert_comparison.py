@@ -11,8 +11,8 @@ SMALL = ["suite=planner", "episodes=2", "env.num_envs=2", "scenes=3"]
 SMALL += ["objects.num_objects=2", "objects.num_grasps=100"]
 
 
-def test_experts_are_measured_on_the_same_scenes(run_recipe, tmp_path):
-    code, out, err = run_recipe("benchmark", *SMALL, "experts=[straight,trajectory]")
+def test_experts_are_measured_on_the_same_scenes(run_benchmark, tmp_path):
+    code, out, err = run_benchmark(*SMALL, "experts=[straight,trajectory]")
     assert code == 0, err
     assert out.count("neighbours: actions differ") == 2
     (written,) = tmp_path.glob("benchmark/*/benchmark.json")
@@ -27,6 +27,6 @@ def test_experts_are_measured_on_the_same_scenes(run_recipe, tmp_path):
 
 @pytest.mark.parametrize("experts", ["nobody", "[nobody]"])
 def test_unknown_experts_are_refused(composed, experts):
-    cfg = composed(*SMALL, f"experts={experts}", recipe="benchmark")
+    cfg = composed(*SMALL, f"experts={experts}")
     with pytest.raises(ConfigError, match="trajectory_funnel"):
         benchmark.benchmark(cfg)

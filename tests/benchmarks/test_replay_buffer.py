@@ -13,7 +13,7 @@ SMALL = ["suite=replay", "transitions=5000", "draws=5", "objects.num_objects=1",
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_a_buffer_is_filled_drawn_from_saved_and_read_back(composed, tmp_path, on_disk):
     folder = tmp_path / "rows"
-    cfg = composed(*SMALL, *([f"replay_folder={folder}"] if on_disk else []), recipe="benchmark")
+    cfg = composed(*SMALL, *([f"replay_folder={folder}"] if on_disk else []))
     row = benchmark.benchmark(cfg)["rows"]["replay"]
     assert row["equal_after_reload"]
     assert row["bytes_per_transition"] == 6276
@@ -30,8 +30,8 @@ def test_a_buffer_is_filled_drawn_from_saved_and_read_back(composed, tmp_path, o
 
 
 def test_a_buffer_that_does_not_fit_is_refused_before_it_is_filled(composed):
-    cfg = composed(*SMALL, "transitions=1000000000000", recipe="benchmark")
+    cfg = composed(*SMALL, "transitions=1000000000000")
     with pytest.raises(ConfigError, match="would fit"):
         benchmark.benchmark(cfg)
     with pytest.raises(ConfigError, match="transitions=7"):
-        benchmark.benchmark(composed(*SMALL, "transitions=7", recipe="benchmark"))
+        benchmark.benchmark(composed(*SMALL, "transitions=7"))

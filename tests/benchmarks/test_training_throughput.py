@@ -1,14 +1,15 @@
 """The suite `training` measures td3_bc's own loop."""
 
+import benchmark
 import pytest
-import training_bench
+from training_throughput import benchmark_training
 
 from torchgrasp.errors import ConfigError
 
 
 def test_rows_hold_what_the_loop_wrote(composed, capsys):
     options = ['training.overrides=["experiment=smoke"]', "training.workers=[0,1]", "training.iterations=2"]
-    rows = training_bench.benchmark_training(composed(*options, recipe="benchmark"))
+    rows = benchmark_training(composed(*options))
     assert list(rows) == ["0", "1", "1, overlapping"]
     for row in rows.values():
         # An iteration has 2 episodes of 6 steps and 3 updates.
@@ -21,4 +22,4 @@ def test_rows_hold_what_the_loop_wrote(composed, capsys):
 @pytest.mark.parametrize("workers", ["[]", "[-1]", "[two]"])
 def test_workers_that_cannot_be_are_refused(composed, workers):
     with pytest.raises(ConfigError, match=r"training\.workers"):
-        training_bench.benchmark_training(composed(f"training.workers={workers}", recipe="benchmark"))
+        benchmark.benchmark(composed("suite=training", f"training.workers={workers}"))

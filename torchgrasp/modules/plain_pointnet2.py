@@ -2,7 +2,7 @@
 
 Every row of every ball passes through 1 x 1 convolutions with a graph, coordinates are made relative
 before the first, and the ball query sorts all distances. Nothing uses this but tests and
-`recipes/benchmark.py`.
+`benchmarks/benchmark.py`.
 """
 
 from __future__ import annotations

@@ -1,0 +1,42 @@
+"""The plain values of benchmark.yaml, typed."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from torchgrasp.config.schema import Collector, Count, Device, Env, Positive, Section, at_least
+
+
+class Clouds(Section):
+    """Of the suites `encoder` and `update`."""
+
+    batch: Positive
+    points: Positive
+    repeats: Positive
+    threads: Positive
+
+
+class Training(Section):
+    """Of the suite `training`."""
+
+    workers: list[Count]
+    iterations: Positive
+    warmup: Count
+
+
+class Benchmark(Section):
+    """benchmark.py."""
+
+    seed: Count
+    num_points: Positive
+    device: Device
+    episodes: Positive
+    batch: Positive
+    resets: Annotated[int, at_least(10)]  # memory is read after each tenth
+    scenes: Positive
+    transitions: Positive
+    draws: Positive
+    clouds: Clouds
+    training: Training
+    env: Env
+    collector: Collector
