@@ -26,8 +26,8 @@ def _commands():
 
 
 def _recipe(program, argument):
-    """The script that `python recipes/<name>.py` or `torchgrasp <name>` runs, if it is a recipe."""
-    if argument.startswith("recipes/"):
+    """The script of `python recipes/<name>.py`, `torchgrasp <name>` or `python benchmarks/<name>.py`."""
+    if argument.startswith(("recipes/", "benchmarks/")):
         return _ROOT / argument
     script = _ROOT / "recipes" / f"{argument}.py"
     return script if program == "torchgrasp" and script.exists() else None
@@ -37,7 +37,8 @@ def _recipe(program, argument):
 def test_command_names_a_recipe_and_options_that_exist(recipe, overrides):
     name = re.search(r'config_name="(\w+)"', recipe.read_text())
     assert name is not None
-    with initialize_config_dir(str(_ROOT / "conf"), version_base=None):
+    folder = "conf" if recipe.parent.name == "recipes" else "benchmarks"
+    with initialize_config_dir(str(_ROOT / folder), version_base=None):
         if "-m" in overrides:
             parsed = OverridesParser.create().parse_overrides([each for each in overrides if each != "-m"])
             (jobs,) = BasicSweeper.split_arguments(parsed, max_batch_size=None)

@@ -95,7 +95,7 @@ def check_extras() -> list[Check]:
     except PackageNotFoundError:
         return []  # check_versions has said that torchgrasp is not installed
     for each in wanted:
-        for extra in ("ycb", "random-urdfs", "acronym", "gym", "minari", "viz", "sweeps", "ray"):
+        for extra in ("ycb", "random-urdfs", "acronym", "gym", "minari", "viz", "wandb", "sweeps", "ray"):
             if each.marker is not None and not each.extras and each.marker.evaluate({"extra": extra}):
                 groups.setdefault(extra, []).append(_check_package(each))
     return [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -102,8 +103,10 @@ class Run(Generic[LearnerT]):
             self._resources = opened.pop_all()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._resources.close()
+        if error is not None and checkpoint_exists(self.folder):
+            print(f"The run goes on with resume={self.folder}", file=sys.stderr)
 
     def begin(self, sources: Sequence[DemonstrationSource]) -> None:
         """Take up the checkpoint of the directory, or where there is none fill the buffer; open the log."""

@@ -13,6 +13,7 @@ from torchgrasp.data import count_shards
 from torchgrasp.data.demonstration_kinds import check_kind, resolve_count
 from torchgrasp.errors import ConfigError
 from torchgrasp.runs.checkpoint import checkpoint_exists
+from torchgrasp.runs.loggers import check_logger
 
 
 def check_training(cfg: DictConfig) -> None:
@@ -22,6 +23,8 @@ def check_training(cfg: DictConfig) -> None:
         raise ConfigError(
             "offline.updates=auto makes as many as total_env_steps would, which is 0: give their number."
         )
+    with at_place("logger"):
+        check_logger(cfg.logger.kind)
     for each in list_demonstrations(cfg).values():
         _check_demonstrations(each.demonstrations)
         check_demonstrators(each)

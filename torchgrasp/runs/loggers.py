@@ -43,20 +43,27 @@ def make_logger(
         >>> make_logger("csv", "outputs/bc/2026-01-01_12-00-00") is None
         True
     """
-    if kind != "csv" and kind not in _INSTALL:
-        raise ConfigError(f"kind={kind!r} is no logger: choose from csv, {', '.join(_INSTALL)}.")
+    check_logger(kind)
     if kind == "csv":
         return None
-    try:
-        import_module(kind)
-    except ImportError as error:
-        raise ConfigError(f"The logger {kind} is not installed ({error}): {_INSTALL[kind]}.") from error
     make = {"tensorboard": _make_tensorboard, "wandb": _make_wandb, "mlflow": _make_mlflow}[kind]
     try:
         return make(Path(run_dir).resolve(), resume_step, options)
     except TypeError as error:
         names = ", ".join(options) or "none"
         raise ConfigError(f"The logger {kind} does not take these options ({names}): {error}.") from error
+
+
+def check_logger(kind: str) -> None:
+    """Raise ConfigError where there is no such kind of logger, or its package is not installed."""
+    if kind == "csv":
+        return
+    if kind not in _INSTALL:
+        raise ConfigError(f"kind={kind!r} is no logger: choose from csv, {', '.join(_INSTALL)}.")
+    try:
+        import_module(kind)
+    except ImportError as error:
+        raise ConfigError(f"The logger {kind} is not installed ({error}): {_INSTALL[kind]}.") from error
 
 
 def _make_tensorboard(run_dir: Path, resume_step: int | None, options: Mapping[str, Any]) -> Logger:
