@@ -1,10 +1,11 @@
-"""Tests marked `vulkan` run where something renders."""
+"""Tests marked `vulkan` run where something renders; recipes' configurations for all tests."""
 
 import functools
 import os
 
 import pytest
 
+from tests.configurations import compose_config
 from torchgrasp.sim import RendererProbe, probe_renderer
 
 probe_once = functools.cache(probe_renderer)
@@ -19,3 +20,9 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     if os.environ.get("TORCHGRASP_REQUIRE_VULKAN") == "1":
         pytest.fail(f"TORCHGRASP_REQUIRE_VULKAN=1, but {probe.error}")
     pytest.skip(str(probe.error))
+
+
+@pytest.fixture
+def composed(tmp_path):
+    """Composes a recipe's configuration with overrides, its output below tmp_path."""
+    return functools.partial(compose_config, f"output_dir={tmp_path}")

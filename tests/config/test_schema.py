@@ -1,19 +1,14 @@
 """Every plain value of a configuration by its type and range, refused by its place."""
 
-from pathlib import Path
-
 import pytest
-from hydra import compose, initialize_config_dir
 
+from tests.configurations import compose_config
 from torchgrasp.config.schema import Evaluate, Pendulum, Training, check_values
 from torchgrasp.errors import ConfigError
 
-CONF = str(Path(__file__).parents[2] / "conf")
-
 
 def composed(recipe: str, *overrides: str):
-    with initialize_config_dir(CONF, version_base=None):
-        return compose(recipe, [*overrides])
+    return compose_config(*overrides, recipe=recipe)
 
 
 @pytest.mark.parametrize("experiment", ["laptop", "paper", "smoke", "minutes"])
@@ -60,6 +55,12 @@ def test_impossible_values_are_refused_by_their_place(override, told):
 def test_what_was_left_out_is_asked_for():
     with pytest.raises(ConfigError, match=r"^policy must be given, as policy=\.\.\."):
         check_values(composed("evaluate"), Evaluate)
+
+
+def test_groups_that_do_not_go_together_are_told():
+    told = r"^replay\.codec\.image_channels refers to what is not there .*'transforms\.image\.channels'"
+    with pytest.raises(ConfigError, match=told):
+        check_values(composed("td3_bc", "replay=images"), Training)
 
 
 def test_a_configuration_that_lacks_a_section_is_refused():

@@ -9,12 +9,12 @@ from dataclasses import fields
 
 import pytest
 import torch
-from loss_cases import CASES, Case, Names, assert_same, gradients, losses, make_batch, total
 from tensordict import TensorDict, unravel_key
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 import torchgrasp.objectives as library
+from tests.contracts.loss_cases import CASES, Case, Names, assert_same, gradients, losses, make_batch, total
 from torchgrasp.errors import ConfigError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss
 

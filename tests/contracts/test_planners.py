@@ -1,15 +1,11 @@
 """What every planner answers: plans that hold, a reason where there is none, and never an exception."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "planning"))
-from scenes import OBJECTS, draw_scenes, resting
-
+from tests.planning.scenes import OBJECTS, draw_scenes, resting
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects.gripper import hand_blocked, lowest_point
 from torchgrasp.objects.surface import surface_points

@@ -4,9 +4,9 @@ import re
 
 import pytest
 import torch
-from rollouts import make_rollout, make_steps
 from tensordict import TensorDictBase
 
+from tests.data.rollouts import make_rollout, make_steps
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, Priority, estimate_bytes
 from torchgrasp.data.buffer_memory import available_memory, check_space, count_row_bytes
 from torchgrasp.errors import ConfigError

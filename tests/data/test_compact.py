@@ -1,8 +1,8 @@
 import pytest
 import torch
-from rollouts import make_cloud, make_rollout, make_steps
 from torchrl.collectors.utils import split_trajectories
 
+from tests.data.rollouts import make_cloud, make_rollout, make_steps
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import gripper_control_points

@@ -6,8 +6,8 @@ import shutil
 
 import pytest
 import torch
-from rollouts import append, make_episodes
 
+from tests.data.rollouts import append, make_episodes
 from torchgrasp.data import begin_demonstrations, drop_damaged_shards, open_demonstrations
 from torchgrasp.data.files import seal_json
 from torchgrasp.errors import CheckpointError, ConfigError

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from rollouts import append, make_episodes
 
+from tests.data.rollouts import append, make_episodes
 from torchgrasp.data import (
     MixtureReplayBuffer,
     append_shard,
@@ -79,8 +79,8 @@ def test_a_killed_collection_loses_and_doubles_nothing(tmp_path):
     path = tmp_path / "demos"
     script = f"""
         import sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import rollouts as t
+        sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+        from tests.data import rollouts as t
         from torchgrasp.data import count_shards
         for index in range(count_shards({str(path)!r}), 1000):
             t.append({str(path)!r}, index)

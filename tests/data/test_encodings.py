@@ -2,9 +2,9 @@
 
 import pytest
 import torch
-from rollouts import make_rollout
 from tensordict import TensorDict
 
+from tests.data.rollouts import make_rollout
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer
 from torchgrasp.data.encodings import CloudEncoding, ImageEncoding
 from torchgrasp.errors import ConfigError

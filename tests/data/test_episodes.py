@@ -1,8 +1,8 @@
 import pytest
 import torch
-from rollouts import make_rollout
 from tensordict import TensorDict
 
+from tests.data.rollouts import make_rollout
 from torchgrasp.data import label_episode_success, split_episodes
 from torchgrasp.errors import ConfigError
 

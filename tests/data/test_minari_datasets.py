@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 import torch
-from rollouts import append
 
+from tests.data.rollouts import append
 from torchgrasp.__main__ import main
 from torchgrasp.data import begin_demonstrations, open_demonstrations
 from torchgrasp.data.minari.exchange import export_minari, import_minari

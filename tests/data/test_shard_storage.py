@@ -4,11 +4,11 @@ import pickle
 
 import pytest
 import torch
-from rollouts import append, make_cloud, make_episodes, make_steps
 from torchrl.data import TensorDictReplayBuffer
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 from torchrl.envs.transforms import RenameTransform
 
+from tests.data.rollouts import append, make_cloud, make_episodes, make_steps
 from torchgrasp.data import CompactTransitions, ShardStorage, append_shard, open_demonstrations
 from torchgrasp.data.storage import keep_batch
 from torchgrasp.errors import ConfigError

@@ -7,9 +7,10 @@ from functools import partial
 
 import pytest
 import torch
-from processes import make_cloud_env, make_env
 from torchrl.collectors import Collector, MultiSyncCollector
 from torchrl.envs import ParallelEnv, SerialEnv
+
+from tests.envs.processes import make_cloud_env, make_env
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 

@@ -3,8 +3,8 @@ import math
 
 import pytest
 import yaml
-from run_files import compare_four_groups, read_runs, success_table, write_run
 
+from tests.run_files import compare_four_groups, read_runs, success_table, write_run
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.evaluation.comparison import compare_runs
 from torchgrasp.evaluation.run_results import check_same_scenes, read_result

@@ -1,8 +1,8 @@
 import h5py
 import numpy as np
 import pytest
-from acronym_files import CENTRE, SIZE, write_acronym
 
+from tests.objects.acronym_files import CENTRE, SIZE, write_acronym
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import AcronymObjects
 from torchgrasp.sim import Physics

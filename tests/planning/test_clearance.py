@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from scenes import OBJECTS, resting
 
+from tests.planning.scenes import OBJECTS, resting
 from torchgrasp.planning.clearance import Clearance
 from torchgrasp.planning.distance import distance_field
 from torchgrasp.planning.spheres import arm_spheres, column_spheres, self_pairs

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import torch
-from scenes import OBJECTS, draw_scenes
 
+from tests.planning.scenes import OBJECTS, draw_scenes
 from torchgrasp.objectives.functional import pose_distance
 from torchgrasp.objects.gripper import hand_blocked, lowest_point
 from torchgrasp.planning import FunnelPlanner, GoalChoice, PlanStatus

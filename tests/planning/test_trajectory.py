@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from scenes import OBJECTS
 
+from tests.planning.scenes import OBJECTS
 from torchgrasp.errors import ConfigError
 from torchgrasp.planning import TrajectoryOptimizer
 from torchgrasp.planning.clearance import Clearance

@@ -1,23 +1,9 @@
 import subprocess
-import sys
 
 import pytest
-from hydra import compose, initialize_config_dir
-from runner import ROOT, command, environment
 
-sys.path.insert(0, str(ROOT / "recipes"))
-sys.path.insert(0, str(ROOT / "tests" / "objects"))  # acronym_files
-
-
-@pytest.fixture
-def composed(tmp_path):
-    """Composes a recipe's configuration with overrides, its output below tmp_path."""
-
-    def compose_config(*overrides: str, recipe: str = "td3_bc"):
-        with initialize_config_dir(str(ROOT / "conf"), version_base=None):
-            return compose(recipe, [f"output_dir={tmp_path}", *overrides])
-
-    return compose_config
+from tests.configurations import compose_config
+from tests.recipes.runner import command, environment, find_run
 
 
 @pytest.fixture
@@ -35,3 +21,14 @@ def run_recipe(tmp_path):
         return finished.returncode, finished.stdout, finished.stderr
 
     return run
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory):
+    """The run directory of a short td3_bc run, and its summary; a test copies what it would change."""
+    from recipes import td3_bc
+
+    root = tmp_path_factory.mktemp("trained")
+    given = [f"output_dir={root}", "experiment=smoke", "evaluation.baselines=[random]"]
+    summary = td3_bc.train(compose_config(*given, "env.horizon=8", "total_env_steps=32"))
+    return find_run(root, "td3_bc"), summary

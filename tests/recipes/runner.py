@@ -1,14 +1,16 @@
-"""Recipes started as a user would start them."""
+"""Recipes started as a user would start them, and what their runs leave."""
 
+import csv
 import os
 import sys
 from pathlib import Path
 
 import torch
 
-from torchgrasp.runs.weights import load_weights
+from tests.configurations import ROOT
+from torchgrasp.runs import load_checkpoint, load_weights
 
-ROOT = Path(__file__).parents[2]
+_CLOCKED = ("time/", "speed/", "memory/")
 
 
 def command(name: str, output_dir: Path, *overrides: str) -> list[str]:
@@ -19,12 +21,37 @@ def environment() -> dict[str, str]:
     return {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
-def assert_heads_alone_learned(begun: Path, tuned: Path) -> None:
-    """Of actor and critic of two runs, encoders are equal and heads are not."""
+def find_run(root: Path, recipe: str) -> Path:
+    """The only run of a recipe below `root`."""
+    (run_dir,) = root.glob(f"{recipe}/*")
+    return run_dir
+
+
+def read_metrics(run_dir: Path) -> list[dict[str, str]]:
+    with (run_dir / "metrics.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def read_results(run_dir: Path) -> list[dict[str, str]]:
+    """The metrics that do not depend on how fast the machine is, or when it was interrupted."""
+    return [{n: v for n, v in row.items() if not n.startswith(_CLOCKED)} for row in read_metrics(run_dir)]
+
+
+def stored_rows(run_dir: Path, source: str) -> dict:
+    """What the checkpoint's buffer holds of a source."""
+    return load_checkpoint(run_dir / "checkpoint")["buffer"]["_storage"]["rows"][source]
+
+
+def heads_alone_learned(begun: Path, tuned: Path) -> bool:
+    """Whether of actor and critic of two runs the encoders are equal and the heads are not."""
     before, after = (load_weights(each / "weights.safetensors")[0] for each in (begun, tuned))
     for name in ("actor", "critic"):
         encoder = [key for key in before[name] if ".encoder." in key]
         heads = [key for key in before[name] if "head" in key]
         assert encoder and heads
-        assert all(torch.equal(before[name][key], after[name][key]) for key in encoder)
-        assert not all(torch.equal(before[name][key], after[name][key]) for key in heads)
+        same = [
+            all(torch.equal(before[name][key], after[name][key]) for key in keys) for keys in (encoder, heads)
+        ]
+        if same != [True, False]:
+            return False
+    return True

@@ -1,72 +1,61 @@
-"""Fine-tuning of a trained policy with hindsight goals and frozen encoders (Sec. 6.1, 6.3)."""
+"""recipes/td3_bc.py with init=: heads on frozen encoders, hindsight goals, and what init is needed for."""
 
 import shutil
 
 import pytest
-import td3_bc
 import torch
-from hydra.errors import InstantiationException
-from runner import assert_heads_alone_learned
 
+from recipes import td3_bc
+from tests.recipes.runner import find_run, heads_alone_learned
 from torchgrasp.errors import CheckpointError, ConfigError
-from torchgrasp.runs.weights import load_weights
+from torchgrasp.runs import load_weights
 
-SHORT = ["experiment=smoke", "total_env_steps=12", "evaluation.baselines=[]", "evaluation.episodes=2"]
+SHORT = ["experiment=smoke", "env.horizon=8", "evaluation.baselines=[]", "evaluation.episodes=2"]
 FROZEN = ["model.actor.freeze_encoder=true", "model.critic.freeze_encoder=true"]
 HINDSIGHT = ["loss.hindsight=true", "replay.augment={_target_: torchgrasp.transforms.HindsightGoal}"]
 
 
-def _trained(composed, tmp_path, *overrides):
-    td3_bc.train(composed(*SHORT, *overrides))
-    runs = sorted((tmp_path / "td3_bc").iterdir(), key=lambda each: each.stat().st_mtime)
-    return runs[-1]
+@pytest.fixture
+def begun(trained):
+    """Options of a short run on the demonstrations of a trained one, begun with its weights."""
+    run_dir, _ = trained
+    return [*SHORT, f"init={run_dir}", f"demonstrations.path={run_dir / 'demonstrations'}"]
 
 
-def test_heads_learn_from_where_the_first_run_ended(composed, tmp_path):
-    first = _trained(composed, tmp_path)
-    tuned = _trained(composed, tmp_path, f"init={first}", "seed=7", *FROZEN, *HINDSIGHT)
-    assert_heads_alone_learned(first, tuned)
+def test_heads_learn_from_where_the_first_run_ended(composed, tmp_path, trained, begun):
+    td3_bc.train(composed(*begun, "total_env_steps=16", "seed=7", *FROZEN, *HINDSIGHT))
+    assert heads_alone_learned(trained[0], find_run(tmp_path, "td3_bc"))
 
 
-def test_a_run_that_was_stopped_before_its_first_checkpoint_still_begins_with_init(composed, tmp_path):
-    still = ["total_env_steps=0", "pretrain.steps=0"]
-    first = _trained(composed, tmp_path)
-    second = _trained(composed, tmp_path, f"init={first}", "seed=7", *still)
+def test_init_is_needed_until_there_is_a_checkpoint(composed, tmp_path, trained, begun):
+    first = shutil.copytree(trained[0], tmp_path / "first")
+    still = ["total_env_steps=0", "pretrain.steps=0", f"init={first}"]
+    td3_bc.train(composed(*begun[:-2], *still, begun[-1]))
+    second = find_run(tmp_path, "td3_bc")
+    resume = f"resume={second}"
+    first.rename(tmp_path / "moved")
+    assert td3_bc.train(composed(resume))["env_steps"] == 0
     shutil.rmtree(second / "checkpoint")
     (second / "weights.safetensors").unlink()
-    td3_bc.train(composed(f"resume={second}"))
+    with pytest.raises(ConfigError, match=f"init='{first}' is not there: give .*a run directory"):
+        td3_bc.train(composed(resume))
+    (tmp_path / "moved").rename(first)
+    td3_bc.train(composed(resume))
     before, after = (load_weights(each / "weights.safetensors")[0] for each in (first, second))
     for name, states in before.items():
         assert all(torch.equal(value, after[name][key]) for key, value in states.items())
 
 
-def test_a_run_with_a_checkpoint_goes_on_without_its_init(composed, tmp_path):
-    still = ["total_env_steps=0", "pretrain.steps=0"]
-    first = _trained(composed, tmp_path, *still)
-    second = _trained(composed, tmp_path, f"init={first}", *still)
-    first.rename(tmp_path / "moved")
-    resume = f"resume={second}"
-    assert td3_bc.train(composed(resume))["env_steps"] == 0
-    shutil.rmtree(second / "checkpoint")
-    with pytest.raises(ConfigError, match=f"init='{first}' is not there: give .*a run directory"):
-        td3_bc.train(composed(resume))
+def test_the_pretrained_policy_can_be_trained_on(composed, begun):
+    theirs = ["model.width=1", "model.table_input=true", "model.state_inputs={wrist_angle: 1}"]
+    given = [each for each in begun if not each.startswith("init=")]
+    summary = td3_bc.train(
+        composed(*given, *theirs, "init=pretrained", "pretrain.steps=0", "total_env_steps=1")
+    )
+    assert summary["gradient_steps"] == 3
 
 
-def test_what_cannot_begin_is_refused_before_anything_is_collected(composed, tmp_path):
-    with pytest.raises(ConfigError, match=r"freeze_encoder=true would keep random weights.*init="):
-        td3_bc.train(composed(*SHORT, *FROZEN))
-    with pytest.raises(ConfigError, match=r"init='nowhere'"):
-        td3_bc.train(composed(*SHORT, "init=nowhere"))
-    with pytest.raises(ConfigError, match=r"transitions would fit"):
-        td3_bc.train(composed(*SHORT, "replay.online_capacity=1000000000000"))
-    with pytest.raises(InstantiationException, match=r"priority.alpha=2"):
-        td3_bc.train(composed(*SHORT, "replay=prioritised", "replay.priority.alpha=2"))
-    with pytest.raises(ConfigError, match=r"device=cuda:99"):
-        td3_bc.train(composed(*SHORT, "device=cuda:99"))
-    assert not (tmp_path / "td3_bc").exists()
-
-
-def test_weights_of_other_networks_are_refused(composed, tmp_path):
-    first = _trained(composed, tmp_path, "total_env_steps=0")
+def test_weights_of_other_networks_are_refused_before_a_run_begins(composed, tmp_path, begun):
     with pytest.raises(CheckpointError, match="weights of other networks"):
-        td3_bc.train(composed(*SHORT, f"init={first}", "model.width=0.5"))
+        td3_bc.train(composed(*begun, "model.width=0.5"))
+    assert not list(tmp_path.iterdir())

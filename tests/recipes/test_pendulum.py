@@ -1,11 +1,12 @@
 """The pendulum's recipe, shortened."""
 
+import json
 import math
 
-import pendulum
 import pytest
-from schedule import check_milestones
 
+from recipes import pendulum
+from torchgrasp.config import Pendulum, check_values
 from torchgrasp.errors import ConfigError
 
 SHORT = [
@@ -33,24 +34,34 @@ def test_milestones_of_a_tiny_run_may_fall_together(composed):
 
 
 @pytest.mark.parametrize(
+    ("updates", "delay", "updated"), [(1, 2, True), (1, 4, True), (2, 3, True), (1, 5, False), (2, 9, False)]
+)
+def test_the_actors_delay_counts_critic_updates_over_the_run(composed, updates, delay, updated):
+    """In four steps; an actor that is never updated acts as one that is never due."""
+    runs = [*SHORT, f"updates={updates}"]
+    found = pendulum.train(composed(*runs, f"policy_delay={delay}", recipe="pendulum"), 0)
+    never = pendulum.train(composed(*runs, "policy_delay=1000", recipe="pendulum"), 0)
+    assert (found["after"] != never["after"]) is updated
+
+
+@pytest.mark.parametrize(
     "milestones", ["[0.9,0.7]", "[0.7,0.7]", "[0.7,1.5]", "[-0.1]", "[true]", "0.7", "null"]
 )
 def test_milestones_that_no_run_passes_in_order_are_refused(milestones, composed):
-    cfg = composed(f"milestones={milestones}", recipe="pendulum")
     with pytest.raises(ConfigError, match=r"^milestones=.*: give shares of the run from 0 to 1"):
-        check_milestones("milestones", cfg.milestones)
+        check_values(composed(f"milestones={milestones}", recipe="pendulum"), Pendulum)
 
 
-def test_milestones_are_refused_before_the_table_begins(run_recipe, tmp_path):
+def test_values_are_refused_before_the_table_begins(run_recipe, tmp_path):
     code, out, err = run_recipe("pendulum", *SHORT, "milestones=[0.9,0.7]")
     assert code == 1 and err.startswith("error: milestones=[0.9, 0.7]") and not out
     assert not (tmp_path / "pendulum").exists()
 
 
-@pytest.mark.parametrize("seeds", ["[3]", "3"])
-def test_it_writes_its_table(run_recipe, tmp_path, seeds):
-    code, out, err = run_recipe("pendulum", *SHORT, f"seeds={seeds}")
+def test_one_seed_or_several_are_given(run_recipe, tmp_path):
+    code, out, err = run_recipe("pendulum", *SHORT, "seeds=3")
     assert code == 0, err
     assert [line.split()[0] for line in out.splitlines()[:2]] == ["seed", "3"]
     assert out.splitlines()[0].split() == ["seed", "return", "before", "return", "after", "seconds"]
-    assert list(tmp_path.glob("pendulum/*/pendulum.json"))
+    (table,) = tmp_path.glob("pendulum/*/pendulum.json")
+    assert set(json.loads(table.read_text())["rows"]) == {"3"}

@@ -8,21 +8,19 @@ import threading
 import time
 import urllib.request
 
-import common
 import numpy as np
-import policies
 import pytest
-import settings
 import torch
-import view
 import viser
 import zstandard
-from hydra import compose, initialize_config_dir
-from runner import ROOT, command, environment
 from viser.transforms import SO3
 from websockets.sync.client import connect
 
+from recipes import view
+from tests.configurations import compose_config
+from tests.recipes.runner import command, environment
 from torchgrasp import keys
+from torchgrasp.config import evaluation_config, make_policy, make_split_env
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.planning import ExpertPolicy, RandomAction
@@ -37,11 +35,10 @@ SMALL += ["camera.intrinsics.width=32", "camera.intrinsics.height=32", "num_poin
 def played(tmp_path_factory):
     """A viewer after two episodes of the expert, its environment, and the expert's table."""
     torch.set_num_threads(1)
-    with initialize_config_dir(str(ROOT / "conf"), version_base=None):
-        cfg = settings.for_evaluation(compose("view", ["policy=expert", "episodes=2", *SMALL]))
-    env, table = common.make_env(cfg, "test"), SuccessTable()
+    cfg = evaluation_config(compose_config("policy=expert", "episodes=2", *SMALL, recipe="view"))
+    env, table = make_split_env(cfg, "test"), SuccessTable()
     with EpisodeViewer(policies=["expert"], port=0, speed=10.0) as viewer:
-        playing = {"expert": policies.make_policy(cfg, "expert")}
+        playing = {"expert": make_policy(cfg, "expert")}
         view.play(viewer, env, playing, {"expert": table}, range(2))
         yield viewer, env.base_env, table
 

@@ -2,8 +2,8 @@ import csv
 import io
 
 import pytest
-from run_files import compare_four_groups, write_run
 
+from tests.run_files import compare_four_groups, write_run
 from torchgrasp.evaluation.comparison import compare_runs
 from torchgrasp.evaluation.run_results import read_result
 from torchgrasp.report.comparison_page import to_csv, to_markdown, to_page, to_text, write_comparison

@@ -1,8 +1,8 @@
 import pytest
 import torch
-from run_files import success_table
 from tensordict import TensorDict
 
+from tests.run_files import success_table
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.report import console
 from torchgrasp.rollouts.episode_pool import Episode

@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from states import OVERHEAD, views
 
+from tests.sim.states import OVERHEAD, views
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.sim import CameraIntrinsics, Randomization, RaycastCamera, RenderCamera, View

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp.config.environments import make_actions, make_expert, make_objects
 from torchgrasp.config.networks import load_acting
-from torchgrasp.config.parts import build
+from torchgrasp.config.parts import at_place, build
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.planning import OpenLoopPolicy, RandomAction, Relay
 
@@ -45,4 +45,5 @@ def _make_planning(cfg: DictConfig) -> OpenLoopPolicy:
 
 
 def _relay(cfg: DictConfig, name: str, first: TensorDictModuleBase, second: TensorDictModuleBase) -> Relay:
-    return Relay(first, second, steps=cfg[name].steps, horizon=cfg.env.horizon, seed=cfg.evaluation.seed)
+    with at_place(name):
+        return Relay(first, second, steps=cfg[name].steps, horizon=cfg.env.horizon, seed=cfg.evaluation.seed)

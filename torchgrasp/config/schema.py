@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import InterpolationResolutionError
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from torchgrasp.errors import ConfigError, check_range, check_whole
@@ -91,7 +92,7 @@ class Env(Section):
 
 
 class Demonstrations(Section):
-    """D_expert, and each of `demonstrations.more`."""
+    """A source of demonstrations: D_expert, or one of `demonstrations.more` with all of its options."""
 
     steps: Positive
     labels: Switch = True
@@ -250,15 +251,31 @@ def check_values(cfg: DictConfig, schema: type[Section] | None = None) -> None:
     """
     # A plain copy, in which a key may be absent.
     cfg = OmegaConf.create(OmegaConf.to_container(cfg))  # pyright: ignore[reportAssignmentType]
-    missing = sorted(OmegaConf.missing_keys(cfg))
+    try:
+        missing = sorted(OmegaConf.missing_keys(cfg))
+        values = OmegaConf.to_container(cfg, resolve=True)
+    except InterpolationResolutionError as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(
+            f"{error.full_key} refers to what is not there ({reason}): choose groups that go together, such "
+            "as replay=images with transforms=rgbd."
+        ) from error
     if missing:
         raise ConfigError(f"{', '.join(missing)} must be given, as {missing[0]}=... on the command line.")
-    if schema is None:
-        return
+    if schema is not None:
+        _validate("", values, schema)
+
+
+def check_section(place: str, values: DictConfig, section: type[Section]) -> None:
+    """Refuse values that a section cannot have, by their place below `place`."""
+    _validate(f"{place}.", OmegaConf.to_container(values, resolve=True), section)
+
+
+def _validate(place: str, values: Any, section: type[Section]) -> None:
     try:
-        schema.model_validate(OmegaConf.to_container(cfg, resolve=True))
+        section.model_validate(values)
     except ValidationError as error:
-        raise ConfigError(_tell(error)) from error
+        raise ConfigError(f"{place}{_tell(error)}") from error
 
 
 def _tell(error: ValidationError) -> str:

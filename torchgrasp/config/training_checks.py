@@ -7,7 +7,7 @@ from omegaconf import DictConfig
 from torchgrasp.config.demonstration_sources import list_demonstrations
 from torchgrasp.config.exploration import check_demonstrators
 from torchgrasp.config.parts import at_place
-from torchgrasp.config.schema import Training, check_values
+from torchgrasp.config.schema import Demonstrations, Training, check_section, check_values
 from torchgrasp.config.weights_files import check_weights
 from torchgrasp.data import count_shards
 from torchgrasp.data.demonstration_kinds import check_kind, resolve_count
@@ -25,23 +25,26 @@ def check_training(cfg: DictConfig) -> None:
         )
     with at_place("logger"):
         check_logger(cfg.logger.kind)
-    for each in list_demonstrations(cfg).values():
-        _check_demonstrations(each.demonstrations)
+    for name, each in list_demonstrations(cfg).items():
+        further = name in (cfg.demonstrations.more or {})
+        place = f"demonstrations.more.{name}" if further else "demonstrations"
+        _check_demonstrations(each.demonstrations, place)
         check_demonstrators(each)
     if cfg.init is not None and not checkpoint_exists(cfg.resume):
         check_weights("init", str(cfg.init))
 
 
-def _check_demonstrations(demonstrations: DictConfig) -> None:
-    """Refuse a kind, a count and a policy that do not go together."""
+def _check_demonstrations(demonstrations: DictConfig, place: str) -> None:
+    """Refuse values of one source, and a kind, a count and a policy that do not go together."""
+    check_section(place, demonstrations, Demonstrations)
     kind, policy = demonstrations.kind, demonstrations.policy
-    with at_place("demonstrations"):
+    with at_place(place):
         resolve_count(demonstrations.count, check_kind(kind))
     given = demonstrations.path is not None and count_shards(demonstrations.path) > 0
     if (kind == "learner") != (policy is not None) and not (given and policy is None):
         raise ConfigError(
-            f"demonstrations.kind={kind} with demonstrations.policy={policy}: the kind learner needs a "
-            "policy, a run directory or weights file; no other kind takes one."
+            f"{place}.kind={kind} with {place}.policy={policy}: the kind learner needs a policy, a run "
+            "directory or weights file; no other kind takes one."
         )
     if policy is not None:
-        check_weights("demonstrations.policy", str(policy))
+        check_weights(f"{place}.policy", str(policy))

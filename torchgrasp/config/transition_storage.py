@@ -16,7 +16,7 @@ from torchgrasp.config.networks import check_state_inputs
 from torchgrasp.config.parts import at_place, build
 from torchgrasp.data import CompactTransitions
 from torchgrasp.data.buffer_memory import check_space, count_row_bytes
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.geometry import GOAL_SIZE
 from torchgrasp.training import Experience
 
@@ -93,5 +93,8 @@ def make_row(
         )
     row = codec.example_row(shapes)
     if augment is not None:
-        augment(codec(row.copy()))
+        try:
+            augment(codec(row.copy()))
+        except TorchgraspError as error:
+            raise type(error)(f"replay.augment: {error}") from error
     return row

@@ -1,6 +1,5 @@
-"""The main job end to end: what it writes, and that a run killed on the way ends like one that was not."""
+"""recipes/td3_bc.py end to end: what it writes, and that a run killed on the way ends like any other."""
 
-import csv
 import json
 import os
 import shutil
@@ -10,24 +9,17 @@ import time
 from pathlib import Path
 
 import pytest
-from runner import command, environment
+from omegaconf import OmegaConf
+
+from recipes import td3_bc
+from tests.recipes.runner import command, environment, find_run, read_metrics, read_results
+from torchgrasp.config import Run, make_actor_critic
+from torchgrasp.errors import CheckpointError, ConfigError
 
 REQUIRED = {
     *("success_rate", "success_ci95", "episodes", "objects", "wall_seconds", "env_steps", "gradient_steps"),
     *("versions", "hardware"),
 }
-
-_CLOCKED = ("time/", "speed/", "memory/")
-
-
-def read_metrics(run_dir: Path) -> list[dict[str, str]]:
-    with (run_dir / "metrics.csv").open() as stream:
-        return list(csv.DictReader(stream))
-
-
-def read_results(run_dir: Path) -> list[dict[str, str]]:
-    """The metrics that do not depend on how fast the machine is, or when it was interrupted."""
-    return [{n: v for n, v in row.items() if not n.startswith(_CLOCKED)} for row in read_metrics(run_dir)]
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +32,7 @@ def finished_run(tmp_path_factory) -> Path:
         env=environment(),
         capture_output=True,
     )
-    (run_dir,) = (root / "td3_bc").iterdir()
-    return run_dir
+    return find_run(root, "td3_bc")
 
 
 def test_a_run_leaves_its_record(finished_run):
@@ -50,8 +41,9 @@ def test_a_run_leaves_its_record(finished_run):
     assert set(summary["comparison"]) == {"policy", "policy after imitation alone", "expert", "random"}
     assert summary["episodes"] == 4 and summary["env_steps"] >= 48 and summary["gradient_steps"] == 6 + 3 * 4
     assert sum(each["episodes"] for each in summary["objects"].values()) == 4
-    for name in ("config.yaml", "weights.safetensors", "checkpoint", "tensorboard", "demonstrations"):
+    for name in ("config.yaml", "weights.safetensors", "checkpoint", "demonstrations", "report.html"):
         assert (finished_run / name).exists()
+    assert not (finished_run / "tensorboard").exists()
     rows = read_metrics(finished_run)
     assert {
         "critic/loss_qvalue",
@@ -59,6 +51,14 @@ def test_a_run_leaves_its_record(finished_run):
         "actor/loss_actor_ddpg",
         "train/success_rate",
     } <= set(rows[0])
+
+
+def test_a_page_shows_curves_baselines_and_failures(finished_run):
+    text = (finished_run / "report.html").read_text()
+    assert "<th>policy after imitation alone</th>" in text and "<th>random</th>" in text
+    assert 'alt="critic/td_error"' in text and "<td>replay.online_fraction</td>" in text
+    # Six steps are too few to grasp: the four episodes failed.
+    assert text.count("data:image/png") == 4
 
 
 def test_a_run_tells_where_its_time_goes_and_its_memory(finished_run):
@@ -146,27 +146,36 @@ def _marked(mark: str) -> list[str]:
     return found
 
 
-def test_demonstrations_of_another_configuration_are_refused(finished_run, run_recipe):
+def test_demonstrations_of_another_configuration_are_refused(finished_run, composed):
     given = [f"demonstrations.path={finished_run / 'demonstrations'}", "experiment=smoke"]
-    code, _, err = run_recipe("td3_bc", *given, "transforms.sample.num_points=40")
-    assert code == 1 and "transforms" in err and "Traceback" not in err
-    code, _, err = run_recipe("collect", *given, "seed=1")
-    assert code == 1 and "seed" in err and "Traceback" not in err
+    with pytest.raises(ConfigError, match="another transforms"):
+        td3_bc.train(composed(*given, "transforms.sample.num_points=40"))
 
 
-def test_a_trained_policy_brings_its_network_and_transforms_along(finished_run, run_recipe):
-    given = [f"policy={finished_run}", "episodes=2", "collector.num_workers=0", "objects.num_objects=2"]
-    code, out, err = run_recipe("evaluate", *given, "objects.num_grasps=100")
-    assert code == 0, err
-    assert "2 scenes of the test split" in out
-    code, _, err = run_recipe("evaluate", *given, "transforms=single_view")
-    assert code == 1 and "transforms" in err and "Traceback" not in err
-
-
-def test_resume_from_a_truncated_checkpoint_is_refused(finished_run, tmp_path, run_recipe):
+def test_resume_from_a_truncated_checkpoint_is_refused(finished_run, tmp_path, composed):
     broken = tmp_path / "broken"
     shutil.copytree(finished_run, broken)
     largest = max((broken / "checkpoint").rglob("*.safetensors"), key=lambda path: path.stat().st_size)
     largest.write_bytes(largest.read_bytes()[:-100])
-    code, _, err = run_recipe("td3_bc", f"resume={broken}")
-    assert code == 1 and err.count("error:") == 1 and "Traceback" not in err and largest.name in err
+    with pytest.raises(CheckpointError, match=largest.name):
+        td3_bc.train(composed(f"resume={broken}"))
+
+
+def test_the_actors_delay_counts_over_iterations_and_survives_a_resume(composed, tmp_path):
+    """One critic update an iteration and a delay of 2: the actor learns in every second iteration."""
+    given = ["experiment=smoke", "pretrain.steps=0", "online.updates=1", "online.policy_delay=2"]
+    given += ["evaluation.baselines=[]", "evaluation.episodes=2", "total_env_steps=36"]
+    td3_bc.train(composed(*given))
+    run_dir = find_run(tmp_path, "td3_bc")
+    stored = OmegaConf.load(run_dir / ".config_unresolved.yaml")
+    stored.total_env_steps = 72
+    OmegaConf.save(stored, run_dir / ".config_unresolved.yaml")
+    td3_bc.train(composed(f"resume={run_dir}"))
+    rows = [row for row in read_metrics(run_dir) if row["critic/loss_qvalue"]]
+    assert [bool(row["actor/loss_actor_ddpg"]) for row in rows] == [False, True] * (len(rows) // 2)
+    assert len(rows) == 6
+
+
+def test_offline_nobody_acts_and_nobody_labels(composed):
+    cfg = composed("experiment=smoke", "offline.updates=3", "collector.expert_start=null")
+    assert td3_bc.make_actors(Run(cfg, make_actor_critic(cfg))) == []

@@ -1,8 +1,10 @@
+"""recipes/curves.py: learning curves over runs."""
+
 import csv
 
-import curves
 import pytest
 
+from recipes import curves
 from torchgrasp.errors import ConfigError
 
 

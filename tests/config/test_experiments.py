@@ -1,19 +1,17 @@
 """Cells of the paper's tables: each composes with every scale, builds, and is what its name says."""
 
 import re
-from pathlib import Path
 
-import common
 import pytest
-from imitator import Imitator
-from learner import Learner
 from omegaconf import OmegaConf
-from runner import ROOT
-from schedule import count_offline_updates
-from settings import check_values, resumed
-from sources import list_demonstrations
 
-from torchgrasp.errors import ConfigError
+from tests.configurations import ROOT
+from torchgrasp.config import make_actor_critic, make_imitation_learner
+from torchgrasp.config.demonstration_sources import list_demonstrations
+from torchgrasp.config.environments import make_objects
+from torchgrasp.config.main_phase import MainPhase
+from torchgrasp.config.training_checks import check_training
+from torchgrasp.config.transition_storage import make_experience
 
 FOLDER = ROOT / "conf" / "experiment"
 SCALES = ("laptop", "minutes", "paper", "smoke")
@@ -77,7 +75,7 @@ def test_every_cell_is_promised_something():
 @pytest.mark.parametrize("cell", CELLS)
 def test_a_cell_composes_with_every_scale_and_builds(compose_cell, cell, scale):
     cfg = compose_cell(cell, scale, "model.width=0.25")
-    check_values(cfg)
+    check_training(cfg)
     for name, promised in PROMISED[cell].items():
         assert OmegaConf.select(cfg, name) == promised, name
     plain = compose_cell("table2/aux_both", scale)
@@ -95,7 +93,8 @@ def test_a_cell_composes_with_every_scale_and_builds(compose_cell, cell, scale):
         "table_plane": (4,),
         "wrist_angle": (1,),
     }
-    learner = (Imitator if cfg.recipe == "bc" else Learner)(cfg, shapes)
+    learner = (make_imitation_learner if cfg.recipe == "bc" else make_actor_critic)(cfg)
+    make_experience(cfg, learner.networks, shapes, own="online")
     assert ("critic" in learner.networks) is (cfg.recipe != "bc")
     assert ("goal_network" in learner.networks) is cfg.model.actor.goal_input
 
@@ -103,7 +102,7 @@ def test_a_cell_composes_with_every_scale_and_builds(compose_cell, cell, scale):
 @pytest.mark.parametrize("cell", CELLS)
 def test_training_sees_no_object_of_the_evaluation(compose_cell, cell):
     cfg = compose_cell(cell, "laptop")
-    trained, tested = (set(common.make_objects(cfg, split).names) for split in ("train", "test"))
+    trained, tested = (set(make_objects(cfg, split).names) for split in ("train", "test"))
     if cfg.recipe != "hindsight":
         assert trained and tested and not trained & tested
         return
@@ -115,20 +114,13 @@ def test_training_sees_no_object_of_the_evaluation(compose_cell, cell):
 def test_offline_cells_update_as_often_as_online_ones(compose_cell):
     """33,600 steps of 30, 14 episodes an iteration: 80 times 40 updates; 120,000 failures beside 50,000."""
     laptop, paper = (compose_cell("table3/offline", scale) for scale in ("laptop", "paper"))
-    assert count_offline_updates(laptop) == 3200
-    assert count_offline_updates(paper) == 7143 * 20
+    assert MainPhase.of(laptop).length == 3200 and MainPhase.of(paper).length == 7143 * 20
     asked = {name: each.demonstrations.steps for name, each in list_demonstrations(paper).items()}
     assert asked == {"expert": 50000, "failed": 120000}
 
 
-def test_a_cell_of_another_recipe_is_refused(composed):
-    cfg = composed("experiment=[smoke,table1/dagger]", recipe="td3_bc")
-    with pytest.raises(ConfigError, match=r"is for recipes/bc\.py"):
-        resumed(cfg, "td3_bc")
-
-
 def test_the_page_of_experiments_lists_each_cell_with_its_published_number():
-    page = Path(ROOT / "docs" / "experiments.md").read_text()
+    page = (ROOT / "docs" / "experiments.md").read_text()
     rows = {m[1]: line for line in page.splitlines() if (m := re.search(r"\[laptop,([\w/]+)\]", line))}
     assert set(rows) == set(CELLS)
     for cell, row in rows.items():

@@ -1,0 +1,69 @@
+"""An evaluation's configuration: its protocol, what its policy brings along, and what was given."""
+
+import pytest
+
+from torchgrasp.config import evaluation_config
+from torchgrasp.errors import ConfigError
+
+BROUGHT = ["env.horizon=28", "transforms.sample.num_points=48", "model.width=0.5"]
+
+
+def test_a_protocol_changes_the_task(composed):
+    started = {}
+    for protocol in ("static", "moving", "tabletop", "handover"):
+        env = evaluation_config(composed("policy=expert", f"protocol={protocol}", recipe="evaluate")).env
+        started[protocol] = (env.target_motion, env.start._target_.rsplit(".", 1)[-1])
+    assert started == {
+        "static": ("static", "StartPoses"),
+        "moving": ("jitter", "StartPoses"),
+        "tabletop": ("static", "TabletopStart"),
+        "handover": ("handover", "StartPoses"),
+    }
+
+
+def test_what_was_given_stands_above_the_protocol(on_command_line):
+    given = ["policy=expert", "protocol=moving", "env.target_motion=mixed", "objects.split=val"]
+    cfg = evaluation_config(on_command_line(*given, recipe="evaluate"))
+    assert cfg.env.target_motion == "mixed" and cfg.evaluation.split == "val"
+    with pytest.raises(ConfigError, match="protocol=tabletop has a start of its own"):
+        start = "env.start.min_distance=0.3"
+        evaluation_config(on_command_line("policy=expert", "protocol=tabletop", start, recipe="evaluate"))
+    varied = ["policy=expert", "protocol=tabletop", "start=varied"]
+    assert evaluation_config(on_command_line(*varied, recipe="evaluate")).env.start.spread == 0.25
+
+
+def test_a_policy_brings_networks_camera_transforms_and_horizon(composed, untrained):
+    cfg = evaluation_config(composed(f"policy={untrained(*BROUGHT)}", "episodes=7", recipe="evaluate"))
+    assert (cfg.env.horizon, cfg.transforms.sample.num_points, cfg.model.width) == (28, 48, 0.5)
+    assert cfg.camera.intrinsics.width == 32 and cfg.overhead is None
+    assert (cfg.evaluation.episodes, cfg.evaluation.seed) == (7, 1000)
+
+
+def test_of_what_it_brings_nothing_is_changed_but_the_task_may_be(on_command_line, untrained):
+    policy = f"policy={untrained(*BROUGHT)}"
+    cfg = evaluation_config(on_command_line(policy, "env.horizon=20", "seed=3", recipe="evaluate"))
+    assert cfg.env.horizon == 20 and cfg.evaluation.seed == 3
+    for given in ("num_points=12", "transforms=single_view", "camera.intrinsics.width=64"):
+        with pytest.raises(ConfigError, match=f"num_points along, does not go with {given}"):
+            evaluation_config(on_command_line(policy, given, recipe="evaluate"))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (
+            ["policy=nobody"],
+            "^policy='nobody' is not there: give expert, random, planning, combined, takeover",
+        ),
+        (["policy=combined"], "needs a learner"),
+        (["policy=takeover"], "needs a learner"),
+        (["policy=combined", "learner=no/such/run"], "^learner='no/such/run'"),
+        (["policy=takeover", "learner=expert"], "^learner='expert'"),
+        (["policy=expert", "learner=random"], "combined or takeover"),
+        (["policy=expert", "protocol=upside_down"], "^protocol='upside_down' is unknown: give one of static"),
+        (["policy=expert", "episodes=0"], "^episodes=0 is out of range"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(composed, overrides, told):
+    with pytest.raises(ConfigError, match=told):
+        evaluation_config(composed(*overrides, recipe="evaluate"))

@@ -1,0 +1,59 @@
+"""A run's directory and configuration, made and taken up again."""
+
+import json
+
+import pytest
+from omegaconf import OmegaConf
+
+from torchgrasp.config import open_run_dir, training_config
+from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.runs import save_checkpoint
+
+
+def test_a_new_run_keeps_its_configuration_for_readers_and_for_changes(composed, tmp_path):
+    cfg = training_config(composed("experiment=smoke", "seed=4"), "td3_bc")
+    run_dir = open_run_dir(cfg, "td3_bc")
+    assert run_dir.parent == tmp_path / "td3_bc"
+    assert OmegaConf.load(run_dir / "config.yaml").replay.codec.state_keys[0] == "time_left"
+    assert "${" not in (run_dir / "config.yaml").read_text()
+    assert "${seed}" in (run_dir / ".config_unresolved.yaml").read_text()
+
+
+def test_a_resumed_run_has_its_configuration_changed_by_what_was_given(on_command_line, composed):
+    run_dir = open_run_dir(composed("experiment=smoke", "seed=4"), "td3_bc")
+    given = on_command_line(f"resume={run_dir}", "total_env_steps=99", "online.updates=7")
+    cfg = training_config(given, "td3_bc")
+    assert (cfg.seed, cfg.total_env_steps, cfg.online.updates, cfg.num_points) == (4, 99, 7, 32)
+    assert cfg.collector.noise.annealing_steps == 99  # what refers to a change follows it
+    assert open_run_dir(cfg, "td3_bc") == run_dir
+    with pytest.raises(ConfigError, match="does not go with experiment=paper"):
+        training_config(on_command_line(f"resume={run_dir}", "experiment=paper"), "td3_bc")
+
+
+def test_experiments_and_runs_of_another_recipe_are_refused(composed, tmp_path):
+    with pytest.raises(ConfigError, match=r"is for recipes/bc\.py: run it by that, not td3_bc\.py"):
+        training_config(composed("experiment=[smoke,table1/dagger]"), "td3_bc")
+    run_dir = open_run_dir(composed("experiment=smoke", recipe="bc"), "bc")
+    with pytest.raises(CheckpointError, match="is no run directory of td3_bc"):
+        training_config(composed(f"resume={run_dir}"), "td3_bc")
+    with pytest.raises(CheckpointError, match=r"^resume=no/such/run is no run directory of td3_bc"):
+        training_config(composed("resume=no/such/run"), "td3_bc")
+
+
+def test_a_damaged_configuration_is_named(composed):
+    run_dir = open_run_dir(composed("experiment=smoke"), "td3_bc")
+    (run_dir / ".config_unresolved.yaml").write_text("{")
+    with pytest.raises(CheckpointError, match=r"\.config_unresolved\.yaml cannot be read"):
+        training_config(composed(f"resume={run_dir}"), "td3_bc")
+
+
+def test_a_checkpoint_of_another_version_is_refused_with_two_ways_on(composed):
+    run_dir = open_run_dir(composed("experiment=smoke"), "td3_bc")
+    save_checkpoint(run_dir / "checkpoint", {"progress": {"iteration": 1}})
+    training_config(composed(f"resume={run_dir}"), "td3_bc")
+    file = run_dir / "checkpoint" / "manifest.json"
+    assert json.loads(file.read_text())["format"] == 2
+    file.write_text(json.dumps({**json.loads(file.read_text()), "format": 1}))
+    told = r"has format 1, this version reads 2: go on with the torchgrasp that wrote it, or .*init="
+    with pytest.raises(CheckpointError, match=told):
+        training_config(composed(f"resume={run_dir}"), "td3_bc")
