@@ -1,4 +1,4 @@
-"""Demonstrations: episodes of one kind, until enough of the steps are there that the kind is for.
+"""Demonstrations: episodes of one kind, until enough of its steps are stored.
 
 python recipes/collect.py demonstrations.steps=50000 demonstrations.path=demos
 python recipes/collect.py demonstrations.kind=failed demonstrations.path=failures

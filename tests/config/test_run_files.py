@@ -31,7 +31,7 @@ def test_a_resumed_run_has_its_configuration_changed_by_what_was_given(on_comman
 
 
 def test_experiments_and_runs_of_another_recipe_are_refused(composed, tmp_path):
-    with pytest.raises(ConfigError, match=r"is for recipes/bc\.py: run it by that, not td3_bc\.py"):
+    with pytest.raises(ConfigError, match="is for the recipe bc: run it by that, not by td3_bc"):
         training_config(composed("experiment=[smoke,table1/dagger]"), "td3_bc")
     run_dir = open_run_dir(composed("experiment=smoke", recipe="bc"), "bc")
     with pytest.raises(CheckpointError, match="is no run directory of td3_bc"):

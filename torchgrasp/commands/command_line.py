@@ -64,7 +64,10 @@ def _run_recipe(name: str, overrides: list[str]) -> int:
     """Become the recipe: Hydra then reads a command line of its own, and signals need no forwarding."""
     module = f"torchgrasp.recipes.{name}"
     if importlib.util.find_spec("torchgrasp.recipes") is None:
-        print(f"error: {module} is not installed: give pip install torchgrasp.", file=sys.stderr)
+        print(
+            f"error: {module} is not installed: install the wheel, or in a checkout pip install -e .",
+            file=sys.stderr,
+        )
         return 1
     sys.stdout.flush()
     os.execv(sys.executable, [sys.executable, "-m", module, *overrides])

@@ -13,7 +13,7 @@ HELP = "check a folder of demonstrations and print its card; export it to Minari
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
     minari = "an id like torchgrasp/expert-v0, or a folder that begins with / or ."
-    parser.add_argument("folder", help="of recipes/collect.py")
+    parser.add_argument("folder", help="of `torchgrasp collect`")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--export", metavar="DATASET", help=f"write it as a new Minari dataset: {minari}")
     action.add_argument(

@@ -89,13 +89,13 @@ def take_given(cfg: DictConfig, name: str) -> DemonstrationSource:
     """
     if cfg.demonstrations.path is None:
         raise ConfigError(
-            f"demonstrations.more.{name} has no path, and recipes/{cfg.recipe}.py collects nothing: collect "
-            f"it by recipes/collect.py first, and give {name} that folder as its path."
+            f"demonstrations.more.{name} has no path, and {cfg.recipe} collects nothing: collect "
+            f"it by `torchgrasp collect` first, and give {name} that folder as its path."
         )
     path = Path(str(cfg.demonstrations.path))
     if not count_shards(path):
         raise ConfigError(
-            f"demonstrations.path={path} holds none: collect them by recipes/collect.py first, or give the "
+            f"demonstrations.path={path} holds none: collect them by `torchgrasp collect` first, or give the "
             "folder that they were moved to."
         )
     with at_place("demonstrations"):
@@ -119,5 +119,5 @@ def _check_enough(cfg: DictConfig, path: Path) -> None:
         print(
             f"{path} holds {have} steps that count ({count} episodes), demonstrations.steps={demos.steps} "
             "asks for more: training goes on with them. If they are being collected, stop, and finish that "
-            f"by recipes/collect.py with the same options first; else give demonstrations.steps={have}."
+            f"by `torchgrasp collect` with the same options first; else give demonstrations.steps={have}."
         )

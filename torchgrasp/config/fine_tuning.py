@@ -58,6 +58,6 @@ def _find_demonstrations(init: Path, brought: dict[str, Any]) -> dict[str, Any]:
     if theirs["path"] is None and not count_shards(folder):
         raise ConfigError(
             f"init={init} has no demonstrations beside it, which would be D_expert: give "
-            "demonstrations.path=<folder of recipes/collect.py>, collected with what init brings along."
+            "demonstrations.path=<folder of `torchgrasp collect`>, collected with what init brings along."
         )
     return {**theirs, "path": theirs["path"] or str(folder)}

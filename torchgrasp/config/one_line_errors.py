@@ -58,7 +58,7 @@ def one_line_errors() -> ContextDecorator:
         @one_line_errors()
         def main(cfg): ...
 
-    In a job of a sweep the error goes on: Hydra runs the other jobs, recipes/sweeps.py prints it.
+    In a job of a sweep the error goes on: Hydra runs the other jobs, `SweepRecord` prints it.
     """
     return _OneLineErrors()
 

@@ -33,6 +33,8 @@ def write_page(
     chosen = {_readable(name): OmegaConf.select(cfg, name) for name in _HIGHLIGHTS}
     if "total_env_steps" not in cfg:  # nothing was trained on
         chosen.pop("objects.num_objects")
+    if cfg.get("recipe") == "hindsight":  # which imitates nothing first
+        chosen.pop("pretrain.steps")
     config: Any = OmegaConf.to_container(cfg, resolve=True)
     write_report(
         run_dir,

@@ -90,8 +90,8 @@ class Run(Generic[LearnerT]):
         self._started, self._earlier_seconds = time.monotonic(), 0.0
         steps = cfg.pretrain.steps
         self._imitation_rate = cosine_schedule(max(1, steps), warmup_steps=min(200, steps // 10))
-        milestones = [round(1000 * share) for share in cfg.online.milestones]
-        self._main_rate = step_schedule(milestones, gamma=cfg.online.decay)
+        milestones = dict.fromkeys(round(1000 * share) for share in cfg.online.milestones)  # may round to one
+        self._main_rate = step_schedule([*milestones], gamma=cfg.online.decay)
         self._resources = ExitStack()
 
     def __enter__(self) -> Run[LearnerT]:
@@ -143,7 +143,7 @@ class Run(Generic[LearnerT]):
                 progress.update()
 
     def act(self, *actors: Callable) -> None:
-        """From now on `episodes` are those of the actors, in turn by iteration; of nobody there are none."""
+        """From now on `episodes` are those of the actors, in turn by iteration; without any, none."""
         if not actors:
             return
         length = count_rounds(self.cfg)
@@ -155,6 +155,7 @@ class Run(Generic[LearnerT]):
             length=length,
             overlap=self.cfg.collector.overlap,
         )
+        self._resources.callback(self._rounds.close)
 
     def iterations(self, description: str) -> Iterator[int]:
         """The numbers of the main phase's iterations, at its rates (Sec. 6.4); saves and logs after each."""
@@ -173,8 +174,6 @@ class Run(Generic[LearnerT]):
                 told = {} if self.success_rate is None else {"success_rate": self.success_rate}
                 progress.update(self._position - before, **told)
         self.checkpoint()
-        if self._rounds is not None:
-            self._rounds.close()
 
     def episodes(self) -> list[Episode]:
         """This iteration's episodes, their steps counted; none where nobody acts."""

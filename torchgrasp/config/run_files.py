@@ -24,14 +24,14 @@ _UNRESOLVED = ".config_unresolved.yaml"
 def training_config(cfg: DictConfig, recipe: str) -> DictConfig:
     """The checked configuration: with `resume` that of the run resumed, changed by what was given."""
     if cfg.recipe != recipe:
-        raise ConfigError(f"This experiment is for recipes/{cfg.recipe}.py: run it by that, not {recipe}.py.")
+        raise ConfigError(f"This experiment is for the recipe {cfg.recipe}: run it by that, not by {recipe}.")
     if cfg.resume is not None:
         stored = _read(Path(cfg.resume) / _UNRESOLVED, f"resume={cfg.resume}", recipe)
         if checkpoint_exists(cfg.resume):
             check_format(Path(cfg.resume) / "checkpoint")
         cfg = merge(stored, given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
     check_training(cfg)
-    check_exploration(cfg, "noise", f"recipes/{recipe}.py")
+    check_exploration(cfg, "noise", f"the recipe {recipe}")
     return cfg
 
 

@@ -25,7 +25,7 @@ from torchgrasp.sim import Physics
 class TrainedPolicy(TensorDictSequential):
     """The networks that act, and the configuration that they were trained with.
 
-    In evaluation mode and without gradients: `requires_grad_()` and `train()` go on training it.
+    In evaluation mode and without gradients: call `requires_grad_()` and `train()` to train it further.
 
     Reads what the networks read (points, time left, ...) and writes `action` (*, 6), a relative hand pose in
     metres and radians, and `goal_prediction` (*, 7), the grasp in the ee frame.
@@ -52,7 +52,7 @@ def load_policy(
 ) -> TrainedPolicy:
     """The trained policy of a run directory or weights file, or the one that comes with the library.
 
-    Nothing is unpickled.
+    Nothing is unpickled. The file names the classes that it is built of: take it from people whom you trust.
 
     Args:
         source: ``pretrained``, a run directory, or a file of `torchgrasp.runs.save_weights`.

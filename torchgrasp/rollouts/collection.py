@@ -1,9 +1,10 @@
-"""Demonstrations: episodes of one kind, until enough of the steps are there that the kind is for."""
+"""Demonstrations: episodes of one kind, until enough of its steps are stored."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Generator, Mapping
+from contextlib import closing
 from itertools import count as count_from
 from pathlib import Path
 from typing import Any
@@ -60,10 +61,12 @@ def collect_demonstrations(
     card = begin_demonstrations(path, kind=kind, provenance=provenance)
     if done := count_shards(path):
         card = open_demonstrations(path).card
-    shards = _run_shards(pool, policy, done, num_workers)
-    with Progress(
-        num_steps, initial=min(num_steps, card[counted]), description=f"{kind} steps", unit="step"
-    ) as progress:
+    with (
+        closing(_run_shards(pool, policy, done, num_workers)) as shards,
+        Progress(
+            num_steps, initial=min(num_steps, card[counted]), description=f"{kind} steps", unit="step"
+        ) as progress,
+    ):
         while card[counted] < num_steps:
             before, started = card[counted], time.monotonic()
             index, episodes = next(shards)
@@ -81,7 +84,6 @@ def collect_demonstrations(
             gained = min(num_steps, card[counted]) - min(num_steps, before)
             progress.update(gained, success_rate=1.0 - _count_failures(card) / card["attempts"])
             _check_hope(card, counted)
-    shards.close()
     return card
 
 

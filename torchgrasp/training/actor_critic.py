@@ -50,10 +50,10 @@ class ActorCriticLearner(ImitationLearner):
     @property
     def actor_is_due(self) -> bool:
         """Whether the critic has been updated often enough for the next update of the actor."""
-        return self.critic_updates % self.policy_delay == 0
+        return self.critic_updates > 0 and self.critic_updates % self.policy_delay == 0
 
     def copy_to_targets(self) -> None:
-        """Let the targets know what imitation has taught."""
+        """Copy all parameters into the targets, which then know what imitation has taught."""
         self.targets.copy()
 
     def update_critic(self, batch: TensorDictBase) -> None:

@@ -53,7 +53,7 @@ class ImitationLearner:
 
     @property
     def actor(self) -> TensorDictModuleBase:
-        """What acts where an expert tells the goal."""
+        """The actor alone; a goal that it reads has to be there."""
         return self.networks["actor"]
 
     @property
