@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 _INSTALL = {
     "tensorboard": 'pip install "torchgrasp[viz]"',
     "wandb": 'pip install "torchgrasp[wandb]"',
-    "mlflow": "pip install mlflow",
+    "mlflow": 'pip install "torchgrasp[mlflow]"',
 }
 _WANDB_FOLDER = re.compile(r"(?:offline-)?run-(\d{8}_\d{6})-(.+)")  # time, id
 
