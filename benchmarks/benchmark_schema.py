@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from torchgrasp.config.schema import Collector, Count, Device, Env, Positive, Section, at_least
+from torchgrasp.config.schema import Collector, Env, OpenSection
+from torchgrasp.config.value_types import Count, Device, Positive, at_least
 
 
-class Clouds(Section):
+class Clouds(OpenSection):
     """Of the suites `encoder` and `update`."""
 
     batch: Positive
@@ -16,7 +17,7 @@ class Clouds(Section):
     threads: Positive
 
 
-class Training(Section):
+class Training(OpenSection):
     """Of the suite `training`."""
 
     workers: list[Count]
@@ -24,7 +25,7 @@ class Training(Section):
     warmup: Count
 
 
-class Benchmark(Section):
+class Benchmark(OpenSection):
     """benchmark.py."""
 
     seed: Count

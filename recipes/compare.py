@@ -11,7 +11,7 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from torchgrasp.config import check_values, one_line_errors, plain
+from torchgrasp.config import Comparison, check_values, one_line_errors, plain
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.comparison import GroupRow, compare_runs
 from torchgrasp.evaluation.run_groups import find_groups
@@ -23,7 +23,7 @@ from torchgrasp.runs.sweep_record import read_failure
 
 def compare(cfg: DictConfig) -> list[GroupRow]:
     """Compare the runs' summaries; print the tables, write compare.md, compare.csv and compare.html."""
-    check_values(cfg)
+    check_values(cfg, Comparison)
     groups = find_groups(plain(cfg.runs), label="all runs", holding="config.yaml")
     rows = compare_runs({label: _read(runs, cfg.key) for label, runs in groups.items()})
     folder = make_run_dir("compare", root=cfg.output_dir)

@@ -11,7 +11,7 @@ from pathlib import Path
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from torchgrasp.config import check_values, one_line_errors, plain
+from torchgrasp.config import Curves, check_values, one_line_errors, plain
 from torchgrasp.evaluation.learning_curves import (
     LearningCurve,
     average_curves,
@@ -25,7 +25,7 @@ from torchgrasp.runs import make_run_dir
 
 def draw(cfg: DictConfig) -> dict[str, LearningCurve]:
     """Average each group of runs; write curves.csv and, where matplotlib is there, curves.svg and .png."""
-    check_values(cfg)
+    check_values(cfg, Curves)
     groups = find_groups(plain(cfg.runs), label=str(cfg.metric), holding="metrics.csv")
     curves = {label: _average(cfg, group) for label, group in groups.items()}
     folder = make_run_dir("curves", root=cfg.output_dir)

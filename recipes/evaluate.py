@@ -45,7 +45,7 @@ def evaluate(cfg: DictConfig) -> dict:
     observed_shapes(cfg)
     name, scenes = str(cfg.policy), describe_scenes(cfg)
     policy = make_policy(cfg, name)
-    predictors = make_predictors(name) if cfg.grasp_prediction else {}
+    predictors = make_predictors(cfg, name) if cfg.grasp_prediction else {}
     by = {"learner_steps": console.learner_steps} if name == "takeover" else {}
     failed, predicted = FailurePictures(), GraspPictures()
     sizes = {"num_episodes": cfg.evaluation.episodes, "num_envs": cfg.evaluation.num_envs}

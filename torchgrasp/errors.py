@@ -33,12 +33,14 @@ class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
 
 
-def check_whole(name: str, value: int, low: int) -> None:
-    """Raise ConfigError unless `value` is a whole number of at least `low`."""
+def check_whole(name: str, value: int, low: int, high: int = 2**63 - 1) -> None:
+    """Raise ConfigError unless `value` is a whole number from `low` to `high`."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise ConfigError(f"{name}={value} is no whole number: give digits alone, at least {low}.")
     if value < low:
         raise ConfigError(f"{name}={value} is out of range: give a whole number of at least {low}.")
+    if value > high:
+        raise ConfigError(f"{name}={value} is out of range: give a whole number of at most {high}.")
 
 
 def check_range(name: str, value: float, low: float, high: float, *, open_low: bool = False) -> None:

@@ -7,7 +7,8 @@ import torch
 
 from torchgrasp.config import gather_sources, given_sources, make_expert, make_pool, make_split_env
 from torchgrasp.config.demonstration_folders import make_collecting_policy, take_given
-from torchgrasp.config.networks import load_acting
+from torchgrasp.config.networks import rebuild_acting
+from torchgrasp.config.weights_files import read_trained
 from torchgrasp.data import open_demonstrations
 from torchgrasp.data.demonstration_sources import check_rows
 from torchgrasp.data.minari.exchange import export_minari, import_minari
@@ -50,7 +51,7 @@ def test_demonstrations_of_a_goal_conditioned_learner_keep_the_labels(composed, 
     told = make_expert(cfg, "train", execute=False)(td.clone())
     acted = make_collecting_policy(cfg)(td.clone())
     torch.testing.assert_close(acted["goal"], told["goal"])
-    networks = load_acting(path)
+    networks = rebuild_acting(read_trained(path))
     predicted = networks["goal_network"](td.clone())["goal"]
     expected = networks["actor"](td.clone().set("goal", predicted))["action"]
     torch.testing.assert_close(acted["action"], expected)

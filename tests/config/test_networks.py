@@ -4,7 +4,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from torchgrasp.config.networks import begin_networks, check_state_inputs, load_acting, make_networks
+from torchgrasp.config.networks import begin_networks, check_state_inputs, make_networks, rebuild_acting
+from torchgrasp.config.weights_files import read_trained
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import load_weights, save_weights
 
@@ -62,8 +63,18 @@ def test_weights_bring_the_goal_network_and_no_file_of_their_own(composed, tmp_p
     for each in (config["model"], *(config["model"][name] for name in networks)):
         each["encoder"]["weights"] = "/nowhere/resnet18.safetensors"
     save_weights(tmp_path / "w.safetensors", networks, config)
-    assert set(load_acting(tmp_path / "w.safetensors")) == {"actor", "goal_network"}
-    assert set(load_acting(tmp_path / "w.safetensors", critic=True)) == set(networks)
+    trained = read_trained(tmp_path / "w.safetensors")
+    assert set(rebuild_acting(trained)) == {"actor", "goal_network"}
+    assert set(rebuild_acting(trained, critic=True)) == set(networks)
+
+
+def test_sizes_are_compared_before_networks_of_that_size_are_made(untrained):
+    """A width of a million would take terabytes."""
+    trained = read_trained(untrained())
+    for name in ("actor", "critic"):
+        trained.config["model"][name]["encoder"]["width"] = 1e6
+    with pytest.raises(CheckpointError, match=r"holds weights of other networks"):
+        rebuild_acting(trained)
 
 
 def test_what_a_network_reads_has_the_size_that_the_environment_gives(composed):

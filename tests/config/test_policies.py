@@ -6,7 +6,8 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 
 from torchgrasp.config import evaluation_config, make_policy
-from torchgrasp.config.networks import load_acting
+from torchgrasp.config.networks import rebuild_acting
+from torchgrasp.config.weights_files import read_trained
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules import GoalPredictor, GraspActor
 from torchgrasp.planning import ExpertPolicy, OpenLoopPolicy, RandomAction, Relay
@@ -53,7 +54,7 @@ def test_a_goal_network_acts_before_its_actor(configured, untrained):
     policy = make_policy(configured(f"policy={learner}"), str(learner))
     assert isinstance(policy, TensorDictSequential)
     assert [type(each) for each in policy.module] == [GoalPredictor, GraspActor]
-    networks = load_acting(learner)
+    networks = rebuild_acting(read_trained(learner))
     assert set(networks) == {"actor", "goal_network"}
     seen = TensorDict({"points": torch.rand(2, 38, 4), "time_left": torch.ones(2, 1)}, [2])
     by_hand = networks["actor"](networks["goal_network"](seen.clone()))

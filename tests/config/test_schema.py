@@ -3,7 +3,8 @@
 import pytest
 
 from tests.configurations import compose_config
-from torchgrasp.config.schema import Evaluate, Pendulum, Training, check_values
+from torchgrasp.config.schema import Comparison, Curves, Evaluate, Pendulum, Training
+from torchgrasp.config.value_checks import check_values
 from torchgrasp.errors import ConfigError
 
 
@@ -21,6 +22,9 @@ def test_those_of_the_other_recipes_too():
     check_values(composed("evaluate", "policy=expert"), Evaluate)
     check_values(composed("view", "policy=expert", "episodes=1"), Evaluate)
     check_values(composed("pendulum"), Pendulum)
+    check_values(composed("pendulum", "seeds=3"), Pendulum)
+    check_values(composed("compare", "runs=[a]"), Comparison)
+    check_values(composed("curves", "runs={a: b}"), Curves)
 
 
 @pytest.mark.parametrize(
@@ -45,6 +49,28 @@ def test_those_of_the_other_recipes_too():
         ("device=toaster", "device=toaster cannot be used"),
         ("evaluation.baselines=[expert,oracle]", "evaluation.baselines.1='oracle' is unknown"),
         ("env.horizon=0", "env.horizon=0 is out of range"),
+        ("env.horizon=1000000000", "env.horizon=1000000000 is out of range"),
+        ("num_points=2000000000", "num_points=2000000000 is out of range"),
+        ("seed=1e23", r"seed=1e\+23 is no whole number"),
+        ("seed=99999999999", "seed=99999999999 is out of range"),
+        ("device=meta", r"device=meta cannot be used \(known are cpu"),
+        ("device=null", "device=None cannot be used"),
+        ("checkpoint=null", "checkpoint=None is no section"),
+        ("collector.pool=null", "collector.pool=None is no section"),
+        ("replay.codec=null", "replay.codec=None: give a CompactTransitions"),
+        (
+            "transforms.sample._target_=no.such.Class",
+            r"transforms\.sample\._target_=no\.such\.Class cannot be",
+        ),
+        ("transforms.sample=5", "transforms.sample=5: give a Transform"),
+        ("trust=5", "trust=5 is no list"),
+        ("trust=abc", "trust=abc is no list"),
+        ("trust=[no_such_package]", r"trust=\['no_such_package'\]: no_such_package is no installed package"),
+        ("+extra.nested=1", "extra={'nested': 1} is no option"),
+        ("+online.extra=1", "online.extra=1 is no option"),
+        ("output_dir=null", "output_dir=None is no path"),
+        ("init=[a]", r"init=\['a'\] is no path"),
+        ("replay.online_fraction=abc", "replay.online_fraction='abc' is no number"),
     ],
 )
 def test_impossible_values_are_refused_by_their_place(override, told):

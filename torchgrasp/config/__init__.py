@@ -25,7 +25,6 @@ from torchgrasp.config.learners import make_actor_critic as make_actor_critic
 from torchgrasp.config.learners import make_imitation_learner as make_imitation_learner
 from torchgrasp.config.one_line_errors import one_line_errors as one_line_errors
 from torchgrasp.config.overrides import plain as plain
-from torchgrasp.config.parts import at_place as at_place
 from torchgrasp.config.parts import build as build
 from torchgrasp.config.policies import make_policy as make_policy
 from torchgrasp.config.report_page import describe_scenes as describe_scenes
@@ -33,9 +32,11 @@ from torchgrasp.config.report_page import write_page as write_page
 from torchgrasp.config.run import Run as Run
 from torchgrasp.config.run_files import open_run_dir as open_run_dir
 from torchgrasp.config.run_files import training_config as training_config
+from torchgrasp.config.schema import Comparison as Comparison
+from torchgrasp.config.schema import Curves as Curves
 from torchgrasp.config.schema import Pendulum as Pendulum
-from torchgrasp.config.schema import check_values as check_values
 from torchgrasp.config.trained_policy import load_policy as load_policy
 from torchgrasp.config.trained_policy import make_env as make_env
 from torchgrasp.config.training_checks import check_training as check_training
 from torchgrasp.config.transition_storage import make_row as make_row
+from torchgrasp.config.value_checks import check_values as check_values

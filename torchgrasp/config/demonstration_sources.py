@@ -8,6 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from torchgrasp.config.schema import Demonstrations
 from torchgrasp.data.demonstration_card import read_card
 from torchgrasp.data.demonstration_kinds import COUNTED, check_kind, resolve_count
 from torchgrasp.data.demonstration_sources import DemonstrationSource
@@ -15,11 +16,9 @@ from torchgrasp.errors import ConfigError, check_range, check_whole
 
 # Sources that episodes go to, or D_expert: names that further demonstrations cannot have.
 _TAKEN = ("online", "hindsight", "expert")
-_DEFAULTS: dict[str, Any] = {
-    **{"count": None, "path": None, "policy": None, "weight": None},
-    **{"expert_start": False, "labels": True},
-}
-_OPTIONS = ("kind", "steps", *_DEFAULTS)
+_FIELDS = {name: field for name, field in Demonstrations.model_fields.items() if name != "more"}
+_DEFAULTS = {name: field.default for name, field in _FIELDS.items() if not field.is_required()}
+_OPTIONS = tuple(_FIELDS)
 
 
 def make_source(cfg: DictConfig, name: str, path: Path) -> DemonstrationSource:

@@ -8,8 +8,9 @@ from omegaconf import DictConfig
 
 from torchgrasp.config.overrides import copy, given_names, given_values, merge
 from torchgrasp.config.policies import POLICIES, RELAYS
-from torchgrasp.config.schema import Evaluate, check_values
-from torchgrasp.config.weights_files import brought_along, check_weights
+from torchgrasp.config.schema import Evaluate
+from torchgrasp.config.value_checks import check_values
+from torchgrasp.config.weights_files import check_weights, read_trained
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.protocols import find_protocol
 
@@ -48,7 +49,7 @@ def _follow_protocol(cfg: DictConfig) -> DictConfig:
 
 def _bring_along(cfg: DictConfig, option: str, path: Path) -> DictConfig:
     """The configuration with what the weights at `path` were trained with, then what was given."""
-    brought = brought_along(path, list(cfg.trust))
+    brought = read_trained(path, cfg.trust).config
     kept = {name: brought.get(name) for name in _BROUGHT}
     fixed = (*kept, "num_points")
     given = given_values(f"{option}={path}, which brings {', '.join(fixed)} along,", fixed=fixed)

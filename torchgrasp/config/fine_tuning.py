@@ -9,7 +9,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.config.networks import forget_encoder_files
 from torchgrasp.config.overrides import given_names
-from torchgrasp.config.weights_files import brought_along, weights_file
+from torchgrasp.config.weights_files import read_trained, weights_file
 from torchgrasp.data import count_shards
 from torchgrasp.errors import ConfigError
 
@@ -37,7 +37,7 @@ def begun_with(cfg: DictConfig) -> DictConfig:
     refused = [name for name in given_names() if name not in _FROZEN and name.split(".")[0] in _PARTS]
     if refused:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
-    brought = brought_along(path, list(cfg.trust))
+    brought = read_trained(path, cfg.trust).config
     plain: Any = OmegaConf.to_container(cfg)
     plain |= {name: brought[name] for name in _PARTS if name in brought}
     plain["env"] |= {name: brought["env"][name] for name in _TASK}

@@ -10,8 +10,9 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
 from torchgrasp.config.environments import LEARNED_FROM, make_expert, make_objects
-from torchgrasp.config.networks import load_acting
+from torchgrasp.config.networks import rebuild_acting
 from torchgrasp.config.policies import POLICIES
+from torchgrasp.config.weights_files import read_trained
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.grasp_prediction import find_predictors, measure_grasp_prediction
 from torchgrasp.rollouts import EpisodePool
@@ -20,14 +21,14 @@ from torchgrasp.rollouts import EpisodePool
 PREDICTED_FROM = (*LEARNED_FROM, keys.T_BASE_OBJECT, keys.OBJECT_ID, keys.GRASP_PREDICTION)
 
 
-def make_predictors(name: str) -> dict[str, TensorDictModuleBase]:
+def make_predictors(cfg: DictConfig, name: str) -> dict[str, TensorDictModuleBase]:
     """The networks of policy `name` that predict grasps."""
     if name in POLICIES:
         raise ConfigError(
             f"grasp_prediction=true with policy={name}, which predicts no grasps: give a run directory or a "
             "weights file."
         )
-    return find_predictors(load_acting(Path(name), critic=True))
+    return find_predictors(rebuild_acting(read_trained(Path(name), cfg.trust), critic=True))
 
 
 def predict_grasps(

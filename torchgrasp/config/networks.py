@@ -6,14 +6,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
 
 from torchgrasp.config.parts import build
-from torchgrasp.config.weights_files import weights_file
+from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.modules.goal_keys import reads_goal
-from torchgrasp.runs import load_weights
 
 _NETWORKS = ("actor", "critic", "goal_network")
 
@@ -28,13 +29,17 @@ def make_networks(model: DictConfig, *, critic: bool = True) -> dict[str, Tensor
     return networks
 
 
-def load_acting(path: Path, *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
-    """The trained networks that act, of a run directory or weights file; on demand the critic, if any."""
-    states, config = load_weights(weights_file(path))
-    cfg: Any = OmegaConf.create(config["model"])
-    forget_encoder_files(cfg)
-    networks = make_networks(cfg, critic=critic and "critic" in states)
-    _give(networks, states, path)
+def rebuild_acting(trained: TrainedWeights, *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
+    """The trained networks that act; on demand the critic, if there is one."""
+    cfg: Any = OmegaConf.create({"model": trained.config["model"]})
+    forget_encoder_files(cfg.model)
+    critic = critic and "critic" in trained.states
+    with torch.device("meta"):  # sizes are compared before anything of that size is allocated
+        outlines = make_networks(cfg.model, critic=critic)
+    for name, outline in outlines.items():
+        _check_sizes(outline, trained.states.get(name, {}), trained.path)
+    networks = make_networks(cfg.model, critic=critic)
+    _give(networks, trained)
     return networks
 
 
@@ -49,35 +54,39 @@ def begin_networks(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]
     """Give the networks the weights that `init` names, if it does; refuse encoders frozen at random ones."""
     untrained = dict(networks)
     if cfg.init is not None:
-        for name in load_networks(networks, Path(str(cfg.init))):
+        for name in load_networks(networks, read_trained(Path(str(cfg.init)), cfg.trust)):
             del untrained[name]
     check_frozen(cfg.model, untrained)
 
 
-def load_networks(networks: Mapping[str, TensorDictModuleBase], path: Path) -> list[str]:
-    """Give the networks the weights of the same names in a run directory or weights file; returns the names.
+def load_networks(networks: Mapping[str, TensorDictModuleBase], trained: TrainedWeights) -> list[str]:
+    """Give the networks the trained weights of the same names; returns the names.
 
     A critic stays as it is where imitation alone, which trains none, has left the file.
     """
-    states, config = load_weights(weights_file(path))
-    if config.get("recipe") == "bc" and "critic" in networks:
-        print(f"{path} was trained by imitation: the critic begins anew.")
+    if trained.config.get("recipe") == "bc" and "critic" in networks:
+        print(f"{trained.path} was trained by imitation: the critic begins anew.")
         networks = {name: each for name, each in networks.items() if name != "critic"}
-    _give(networks, states, path)
+    _give(networks, trained)
     return list(networks)
 
 
-def _give(
-    networks: Mapping[str, TensorDictModuleBase], states: Mapping[str, Mapping[str, Any]], path: Path
-) -> None:
-    try:
-        for name, network in networks.items():
-            network.load_state_dict(states[name])
-    except (KeyError, RuntimeError) as error:
-        reason = str(error).splitlines()[-1].strip()
+def _give(networks: Mapping[str, TensorDictModuleBase], trained: TrainedWeights) -> None:
+    for name, network in networks.items():
+        state = trained.states.get(name, {})
+        _check_sizes(network, state, trained.path)
+        network.load_state_dict(state)
+
+
+def _check_sizes(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
+    ours = {key: tuple(value.shape) for key, value in network.state_dict().items()}
+    theirs = {key: tuple(value.shape) for key, value in state.items()}
+    if ours != theirs:
+        key = next(key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key))
         raise CheckpointError(
-            f"{path} holds weights of other networks ({reason}): choose the model that it was trained with."
-        ) from error
+            f"{path} holds weights of other networks ({key} is {theirs.get(key)}, not {ours.get(key)}): "
+            "choose the model that it was trained with."
+        )
 
 
 def check_frozen(model: DictConfig, untrained: Iterable[str]) -> None:

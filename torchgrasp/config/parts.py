@@ -12,7 +12,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.config.one_line_errors import find_cause
-from torchgrasp.errors import TorchgraspError
+from torchgrasp.errors import ConfigError, TorchgraspError
 
 # A library error about an argument begins with it, or with a part of it, as in `table_x[1]=0.9`.
 _ARGUMENT = re.compile(r"^(\w+)(?=[=\[ ])")
@@ -27,10 +27,15 @@ def build(node: Any, *args: Any, **options: Any) -> Any:
     try:
         return instantiate(node, *args, **options)
     except InstantiationException as error:
-        cause = find_cause(error)
-        if cause is None:
-            raise
-        raise type(cause)(_place(str(cause), *_find_place(error, node))) from error
+        cause, (place, names) = find_cause(error), _find_place(error, node)
+        if cause is not None:
+            raise type(cause)(_place(str(cause), place, names)) from error
+        inner = error.__cause__ or error
+        reason = " ".join(str(inner).split())
+        raise ConfigError(
+            f"{place or 'This part'} cannot be built ({type(inner).__name__}: {reason[:300]}): check its "
+            "options; HYDRA_FULL_ERROR=1 shows where."
+        ) from error
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.config.exploration import DISTURBANCE
-from torchgrasp.config.weights_files import brought_along, weights_file
+from torchgrasp.config.weights_files import read_trained, weights_file
 from torchgrasp.data.files import describe_file
 from torchgrasp.errors import ConfigError
 from torchgrasp.rollouts.collection import SHARD_ROUNDS
@@ -69,7 +69,7 @@ def _refuse_differing(ours: dict, path: Path, card: dict, names: list[str], plai
 def check_learner(cfg: DictConfig) -> None:
     """Refuse a `demonstrations.policy` that learned from other observations than those configured."""
     policy = Path(str(cfg.demonstrations.policy))
-    brought = brought_along(policy, list(cfg.trust))
+    brought = read_trained(policy, cfg.trust).config
     ours, theirs = describe_provenance(cfg), {**brought, **brought.get("env", {})}
     names = [name for name in _SHARED if name in theirs]
     differing = [name for name in names if _unseeded(theirs[name]) != _unseeded(ours[name])]

@@ -1,110 +1,75 @@
-"""The plain values of every recipe's configuration, typed; nodes with a `_target_` check themselves.
-
-Keys that a section here does not name are left to Hydra, which refuses those that no file of conf/ has.
-"""
+"""The values of every recipe's configuration, typed; parts with a `_target_` are those of `part_kinds`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
-import torch
-from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import InterpolationResolutionError
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from torchgrasp.errors import ConfigError, check_range, check_whole
+from torchgrasp.config.value_types import (
+    Count,
+    Device,
+    Factor,
+    FilePath,
+    Horizon,
+    NotNegative,
+    Packages,
+    Points,
+    Positive,
+    Rows,
+    Seed,
+    Seeds,
+    Share,
+    Shares,
+    Switch,
+    Updates,
+    Workers,
+    Worlds,
+    at_least,
+    between,
+)
 
-_Value = TypeVar("_Value")
-
-
-def _whole(low: int, value: Any) -> int:
-    check_whole("", value, low)
-    return value
-
-
-def _number(low: float, high: float, value: Any, *, open_low: bool = False) -> float:
-    check_range("", value, low, high, open_low=open_low)
-    return value
-
-
-def _switch(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise ConfigError(f"={value} is no switch: give true or false.")
-    return value
-
-
-def _shares(value: Any) -> list[float]:
-    shares: list[Any] = list(value) if isinstance(value, list | tuple) else [None]
-    numbers = [each for each in shares if type(each) in (int, float) and 0.0 <= each <= 1.0]
-    if len(numbers) < len(shares) or numbers != sorted(set(numbers)):
-        raise ConfigError(
-            f"={value}: give shares of the run from 0 to 1, each once and in order, such as [0.4, 0.7], or "
-            "[] for a rate that stays."
-        )
-    return numbers
-
-
-def _updates(value: Any) -> int | str:
-    return value if value == "auto" else _whole(0, value)
-
-
-def _device(value: str) -> str:
-    try:
-        torch.empty(0, device=value)
-    except (RuntimeError, AssertionError) as error:
-        raise ConfigError(f"={value} cannot be used ({str(error).splitlines()[0]}): give cpu.") from error
-    return value
-
-
-def _at(check: Callable) -> BeforeValidator:
-    return BeforeValidator(check)
-
-
-def at_least(low: int) -> BeforeValidator:
-    """Of a field that is a whole number, and no smaller than `low`."""
-    return _at(partial(_whole, low))
-
-
-Count = Annotated[int, at_least(0)]
-Positive = Annotated[int, at_least(1)]
-Share = Annotated[float, _at(partial(_number, 0.0, 1.0))]
-NotNegative = Annotated[float, _at(partial(_number, 0.0, float("inf")))]
-# A factor of 0 would end learning at the first milestone without a word.
-Factor = Annotated[float, _at(partial(_number, 0.0, 1.0, open_low=True))]
-Switch = Annotated[bool, _at(_switch)]
-Shares = Annotated[list[float], _at(_shares)]
-Device = Annotated[str, AfterValidator(_device)]
+Parts = dict[str, Any]  # with a `_target_`, or parts by name: `check_parts` looks at them
 
 
 class Section(BaseModel):
-    """Some of the values of a section; the others are let through."""
+    """A section, all of whose keys are named."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class OpenSection(BaseModel):
+    """A section to which a configuration of one's own may add keys, or whose class knows the others."""
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
 
-class Env(Section):
+class Env(OpenSection):
     """conf/env."""
 
-    num_envs: Positive = 1
-    horizon: Positive = 30
+    num_envs: Worlds = 1
+    horizon: Horizon = 30
 
 
 class Demonstrations(Section):
     """A source of demonstrations: D_expert, or one of `demonstrations.more` with all of its options."""
 
+    kind: str
     steps: Positive
+    count: str | None = None
+    path: FilePath | None = None
+    policy: FilePath | None = None
     labels: Switch = True
     expert_start: Switch = False
     weight: NotNegative | None = None
+    more: Any = None
 
 
 class Pretrain(Section):
     """Imitation before the main phase."""
 
     steps: Count
-    batch_size: Positive
+    batch_size: Rows
     aux_weight: NotNegative
     critic: Switch
     learning_rate: NotNegative
@@ -124,38 +89,43 @@ class Online(Section):
     period: Positive
     dagger: Switch = True
     self_imitation: Switch = False
+    rollouts: Any = None
 
 
 class Offline(Section):
     """Updates on demonstrations alone."""
 
-    updates: Annotated[int | str, _at(_updates)]
+    updates: Updates
 
 
-class Replay(Section):
+class Replay(OpenSection):
     """conf/replay."""
 
-    batch_size: Positive
+    batch_size: Rows
     online_fraction: Share
     online_capacity: Positive
+    folder: FilePath | None = None
 
 
-class Collector(Section):
+class Collector(OpenSection):
     """conf/collector and conf/exploration."""
 
-    num_workers: Count
+    num_workers: Workers
     episodes: Positive = 14
     overlap: Switch = False
+    pool: Parts
 
 
 class Evaluation(Section):
     """The scenes that a policy is scored on."""
 
-    num_envs: Positive
+    num_envs: Worlds
     num_objects: Positive | None
-    seed: Count = 0
+    split: str | None = None
+    seed: Seed = 0
     episodes: Positive = 1
     baselines: list[Literal["expert", "random"]] = []
+    target_motion: Any = None
     grasp_prediction: Switch = False
 
 
@@ -166,7 +136,7 @@ class Checkpoint(Section):
     steps: Positive
 
 
-class Network(Section):
+class Network(OpenSection):
     """Actor, critic or goal network; those without a switch leave it at false."""
 
     goal_input: Switch = False
@@ -174,29 +144,46 @@ class Network(Section):
     freeze_encoder: Switch = False
 
 
-class Model(Section):
+class Model(OpenSection):
     """conf/model."""
 
     table_input: Switch = False
     actor: Network
     critic: Network
+    goal_network: Network | None = None
 
 
 class Video(Section):
     """Films of an evaluation."""
 
     episodes: Count
-    fps: Annotated[float, _at(partial(_number, 1, 1000))]
+    fps: Annotated[float, between(1, 1000)]
+
+
+class Logger(OpenSection):
+    """conf/logger; the others are arguments of the service."""
+
+    kind: str
 
 
 class Training(Section):
     """td3_bc.py, bc.py, hindsight.py and collect.py."""
 
-    seed: Count
-    num_points: Positive
+    recipe: str
+    seed: Seed
+    num_points: Points
     device: Device
+    resume: FilePath | None
+    init: FilePath | None
+    output_dir: FilePath
+    trust: Packages
     total_env_steps: Count
     env: Env
+    objects: Parts
+    camera: Parts
+    overhead: Parts | None
+    transforms: Parts
+    expert: Parts
     offline: Offline
     demonstrations: Demonstrations
     pretrain: Pretrain
@@ -206,93 +193,104 @@ class Training(Section):
     evaluation: Evaluation
     checkpoint: Checkpoint
     model: Model
+    loss: Parts
+    logger: Logger
+
+
+class RelaySteps(Section):
+    """Of policy=combined and policy=takeover."""
+
+    steps: Any
 
 
 class Evaluate(Section):
-    """evaluate.py and view.py."""
+    """evaluate.py; view.py adds its page."""
 
-    seed: Count
+    policy: FilePath
+    learner: FilePath | None
+    combined: RelaySteps
+    takeover: RelaySteps
+    protocol: str
     episodes: Positive
-    num_points: Positive
+    seed: Seed
+    num_points: Points
+    output_dir: FilePath
+    trust: Packages
     env: Env
+    objects: Parts
+    camera: Parts
+    overhead: Parts | None
+    transforms: Parts
+    expert: Parts
+    planning: Parts
     collector: Collector
     evaluation: Evaluation
     grasp_prediction: Switch
     video: Video
+    host: str = ""
+    port: Annotated[int, at_least(0, 65535)] = 0
+    speed: Annotated[float, between(0.1, 10.0)] = 1.0
+
+
+class BroughtEnv(OpenSection):
+    """The task of trained networks."""
+
+    horizon: Horizon
+    action_space: str = "ee_delta"
+
+
+class Brought(OpenSection):
+    """What the configuration in a weights file must tell, so that its networks can be rebuilt and act."""
+
+    env: BroughtEnv
+    camera: Parts
+    overhead: Parts | None = None
+    transforms: Parts
+    model: Parts
+    num_points: Points = 1024
+    recipe: str | None = None
+    replay: Parts | None = None
+    demonstrations: Parts | None = None
+
+
+class Comparison(Section):
+    """compare.py."""
+
+    runs: Any
+    key: str | None
+    title: str | None
+    output_dir: FilePath
+
+
+class Curves(Section):
+    """curves.py."""
+
+    runs: Any
+    metric: str
+    x: str
+    output_dir: FilePath
 
 
 class Pendulum(Section):
     """pendulum.py."""
 
-    num_envs: Positive
-    horizon: Positive
+    seeds: Seeds
+    output_dir: FilePath
+    num_envs: Worlds
+    horizon: Horizon
     random_steps: Positive
     online_steps: Positive
     online_fraction: Share
     updates: Count
     policy_delay: Positive
-    batch_size: Positive
-    hidden: Positive
+    batch_size: Rows
+    hidden: Annotated[int, at_least(1, 100_000)]
     learning_rate: NotNegative
     milestones: Shares
     decay: Factor
     gamma: Share
     tau: Share
     period: Positive
+    exploration: NotNegative
     evaluation_episodes: Positive
-
-
-def check_values(cfg: DictConfig, schema: type[Section] | None = None) -> None:
-    """Refuse values that no recipe can work with, and what was left out, by their place.
-
-    Args:
-        cfg: a recipe's configuration.
-        schema: what its values are; None looks for what was left out alone.
-    """
-    # A plain copy, in which a key may be absent.
-    cfg = OmegaConf.create(OmegaConf.to_container(cfg))  # pyright: ignore[reportAssignmentType]
-    try:
-        missing = sorted(OmegaConf.missing_keys(cfg))
-        values = OmegaConf.to_container(cfg, resolve=True)
-    except InterpolationResolutionError as error:
-        reason = str(error).splitlines()[0]
-        raise ConfigError(
-            f"{error.full_key} refers to what is not there ({reason}): choose groups that go together, such "
-            "as replay=images with transforms=rgbd."
-        ) from error
-    if missing:
-        raise ConfigError(f"{', '.join(missing)} must be given, as {missing[0]}=... on the command line.")
-    if schema is not None:
-        _validate("", values, schema)
-
-
-def check_section(place: str, values: DictConfig, section: type[Section]) -> None:
-    """Refuse values that a section cannot have, by their place below `place`."""
-    _validate(f"{place}.", OmegaConf.to_container(values, resolve=True), section)
-
-
-def _validate(place: str, values: Any, section: type[Section]) -> None:
-    try:
-        section.model_validate(values)
-    except ValidationError as error:
-        raise ConfigError(f"{place}{_tell(error)}") from error
-
-
-def _tell(error: ValidationError) -> str:
-    """The first fault, with its place in front."""
-    fault = error.errors()[0]
-    place = ".".join(str(part) for part in fault["loc"] if not _is_branch(part))
-    context: dict[str, Any] = fault.get("ctx", {})
-    own = context.get("error")
-    if isinstance(own, ConfigError):
-        return f"{place}{own}"
-    if fault["type"] == "missing":
-        return f"{place} is missing from the configuration: give it, or take a configuration of conf/."
-    if fault["type"] == "literal_error":
-        return f"{place}={fault['input']!r} is unknown: give {context['expected']}."
-    return f"{place}={fault['input']!r} cannot be used: {fault['msg'].lower()}."
-
-
-def _is_branch(part: int | str) -> bool:
-    """Whether a part of pydantic's location names a branch of a union or a validator, not a key."""
-    return isinstance(part, str) and (part.startswith("function-") or part in ("float", "int", "str", "none"))
+    loss: Parts

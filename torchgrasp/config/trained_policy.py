@@ -12,11 +12,10 @@ from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from torchgrasp.config.environments import make_transforms
-from torchgrasp.config.networks import load_acting
+from torchgrasp.config.networks import rebuild_acting
 from torchgrasp.config.parts import build
-from torchgrasp.config.weights_files import brought_along, check_weights
+from torchgrasp.config.weights_files import check_weights, read_trained
 from torchgrasp.envs import GraspEnv, Start, TargetMotion
-from torchgrasp.errors import ConfigError
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.objects import GraspObject, ProceduralObjects
 from torchgrasp.sim import Physics
@@ -52,7 +51,8 @@ def load_policy(
 ) -> TrainedPolicy:
     """The trained policy of a run directory or weights file, or the one that comes with the library.
 
-    Nothing is unpickled. The file names the classes that it is built of: take it from people whom you trust.
+    Nothing is unpickled. The file is data: it may name classes of torchgrasp and TorchRL where they belong,
+    such as a transform among transforms, and no other code.
 
     Args:
         source: ``pretrained``, a run directory, or a file of `torchgrasp.runs.save_weights`.
@@ -60,8 +60,8 @@ def load_policy(
         device: of the networks.
 
     Raises:
-        ConfigError: where there are no such weights, or they name a class of another package.
-        CheckpointError: where the file is damaged.
+        ConfigError: where there are no such weights, or they name what they may not.
+        CheckpointError: where the file is damaged or tells too little.
 
     Example:
         >>> import torchgrasp
@@ -70,11 +70,8 @@ def load_policy(
         (30, True, True)
     """
     check_weights("source", str(source))
-    config = brought_along(Path(source), list(trust))
-    for name in ("model", "camera", "transforms", "env"):
-        if name not in config:
-            raise ConfigError(f"source={str(source)!r} tells no {name}: give weights of a recipe.")
-    return TrainedPolicy(join_policy(load_acting(Path(source))), config=config).to(device)
+    trained = read_trained(Path(source), trust)
+    return TrainedPolicy(join_policy(rebuild_acting(trained)), config=trained.config).to(device)
 
 
 def make_env(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.config.demonstration_sources import list_demonstrations
 from torchgrasp.config.exploration import check_demonstrators
 from torchgrasp.config.parts import at_place
-from torchgrasp.config.schema import Demonstrations, Training, check_section, check_values
+from torchgrasp.config.schema import Demonstrations, Training
+from torchgrasp.config.value_checks import check_section, check_values
 from torchgrasp.config.weights_files import check_weights
 from torchgrasp.data import count_shards
 from torchgrasp.data.demonstration_kinds import check_kind, resolve_count
@@ -36,7 +37,7 @@ def check_training(cfg: DictConfig) -> None:
 
 def _check_demonstrations(demonstrations: DictConfig, place: str) -> None:
     """Refuse values of one source, and a kind, a count and a policy that do not go together."""
-    check_section(place, demonstrations, Demonstrations)
+    check_section(place, OmegaConf.to_container(demonstrations, resolve=True), Demonstrations)
     kind, policy = demonstrations.kind, demonstrations.policy
     with at_place(place):
         resolve_count(demonstrations.count, check_kind(kind))

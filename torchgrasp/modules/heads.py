@@ -153,13 +153,13 @@ def choose_out_keys(given: Sequence[NestedKey], first: str, *, predicts_goal: bo
 def bound_tensor(action_bound: Sequence[float]) -> Tensor:
     """The largest magnitude of each action component as a (A,) float32 tensor, checked."""
     numbers = tuple(action_bound) if isinstance(action_bound, Iterable) else ()
-    bound = torch.as_tensor(numbers, dtype=torch.float32)
+    bound = torch.as_tensor(numbers, dtype=torch.float32, device="cpu")  # a network may be made on `meta`
     if bound.ndim != 1 or len(bound) == 0 or not ((bound > 0) & bound.isfinite()).all():
         raise ConfigError(
             f"action_bound={action_bound} must be a sequence of positive, finite numbers, one a component, "
             "such as [2.0] of one."
         )
-    return bound
+    return torch.as_tensor(numbers, dtype=torch.float32)
 
 
 def head(in_features: int, hidden: int, out_features: int) -> nn.Sequential:

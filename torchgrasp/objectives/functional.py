@@ -32,8 +32,7 @@ def pose_distance(T1: Tensor, T2: Tensor, points: Tensor | None = None, *, norm:
         >>> round(pose_distance(torch.eye(4), shifted).item(), 4)
         0.03
     """
-    if norm not in ("l1", "l2"):
-        raise ConfigError(f"norm={norm!r} is unknown: choose 'l1', the paper's, or 'l2'.")
+    check_norm(norm)
     T1, T2 = _one_dtype(T1, T2)
     if points is None:
         points = gripper_control_points(dtype=T1.dtype, device=T1.device)
@@ -41,6 +40,12 @@ def pose_distance(T1: Tensor, T2: Tensor, points: Tensor | None = None, *, norm:
     if norm == "l1":
         return difference.abs().sum(dim=-1).mean(dim=-1)
     return torch.linalg.vector_norm(difference, dim=-1).mean(dim=-1)
+
+
+def check_norm(norm: str) -> None:
+    """Raise ConfigError unless `norm` is one that `pose_distance` knows."""
+    if norm not in ("l1", "l2"):
+        raise ConfigError(f"norm={norm!r} is unknown: choose 'l1', the paper's, or 'l2'.")
 
 
 def action_distance(action: Tensor, other: Tensor, *, norm: PointNorm = "l1") -> Tensor:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from torchgrasp.errors import ConfigError, ObjectError, check_range
+from torchgrasp.errors import ConfigError, ObjectError, check_whole
 from torchgrasp.objects.build import assemble
 from torchgrasp.objects.cache import cache_key
 from torchgrasp.objects.file_objects import FileObjects, Source, check_on_error
@@ -67,7 +67,7 @@ class AcronymObjects(FileObjects):
         if split is not None and split not in SPLITS:
             raise ConfigError(f"split={split!r}: give one of {', '.join(SPLITS)}, or None for all files.")
         if num_objects is not None:
-            check_range("num_objects", num_objects, 1, float("inf"))
+            check_whole("num_objects", num_objects, 1)
         check_on_error(on_error)
         self.path = Path(path).expanduser()
         files = _chosen(self.path, split, include)[:num_objects]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
-from torchgrasp.errors import ConfigError, ObjectError, check_range
+from torchgrasp.errors import ConfigError, ObjectError, check_range, check_whole
 from torchgrasp.objects.file_objects import FileObjects, Source, check_on_error
 from torchgrasp.objects.meshes import MESH_SUFFIXES
 from torchgrasp.objects.scales import read_scales
@@ -57,7 +57,7 @@ class FolderObjects(FileObjects):
     ):
         check_range("scale", scale, 0.0, float("inf"), open_low=True)
         if num_objects is not None:
-            check_range("num_objects", num_objects, 1, float("inf"))
+            check_whole("num_objects", num_objects, 1)
         if split is not None and split not in SPLITS:
             raise ConfigError(f"split={split!r}: give one of {', '.join(SPLITS)}, or None for all files.")
         check_on_error(on_error)

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.errors import ConfigError, check_whole
 from torchgrasp.objects.file_objects import FileObjects, Source
 from torchgrasp.objects.solids import Solid
 
@@ -63,7 +63,7 @@ class PackagedObjects(FileObjects):
         workers: int,
     ):
         if num_objects is not None:
-            check_range("num_objects", num_objects, 1, float("inf"))
+            check_whole("num_objects", num_objects, 1)
         if usable_only:
             index = read_index(kind)
             sources = [source for source in sources if not index.get(source.name)]

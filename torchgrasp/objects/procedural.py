@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from torchgrasp.errors import ConfigError, ObjectError
+from torchgrasp.errors import ConfigError, ObjectError, check_whole
 from torchgrasp.objects.build import BUILD_VERSION, build_object, graspable_at_rest
 from torchgrasp.objects.cache import cache_key
 from torchgrasp.objects.families import FAMILIES, HELD_OUT, TRAINED
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, ObjectSet, Split
 
+_MOST_OBJECTS = 1_000_000  # their names are held in memory
 _DEFAULT_SIZE: dict[Split, int] = {"train": 320, "val": 40, "test": 80}
 _LICENCE = "MIT, procedural"
 _ATTEMPTS = 20
@@ -56,10 +57,9 @@ class ProceduralObjects(ObjectSet):
         super().__init__(num_grasps=num_grasps, cache_dir=cache_dir, workers=workers)
         if split not in SPLITS:
             raise ConfigError(f"split={split!r}: give one of {', '.join(SPLITS)}.")
-        if num_objects is not None and num_objects < 1:
-            raise ConfigError(f"num_objects={num_objects}: give 1 or more.")
-        if seed < 0:
-            raise ConfigError(f"seed={seed}: give 0 or more.")
+        if num_objects is not None:
+            check_whole("num_objects", num_objects, 1, _MOST_OBJECTS)
+        check_whole("seed", seed, 0)
         self.split: Split = split
         self.seed = seed
         self.families = _families(split, families)

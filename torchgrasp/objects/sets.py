@@ -11,7 +11,7 @@ from typing import Literal, overload
 
 import numpy as np
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import check_whole
 from torchgrasp.objects.cache import default_cache_dir, load_or_build, refusal_path
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.parallel import run_each
@@ -20,6 +20,7 @@ Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 MIN_GRASPS = 100  # the paper keeps 100 grasps an object (Sec. 6.1)
 _IN_MEMORY = 512
+_MOST_GRASPS = 100_000
 
 
 class ObjectSet(Sequence[GraspObject], ABC):
@@ -35,12 +36,8 @@ class ObjectSet(Sequence[GraspObject], ABC):
     """
 
     def __init__(self, *, num_grasps: int, cache_dir: str | Path | None, workers: int):
-        if num_grasps < MIN_GRASPS:
-            raise ConfigError(
-                f"num_grasps={num_grasps} is too few: give {MIN_GRASPS} or more (400 is usual)."
-            )
-        if workers < 1:
-            raise ConfigError(f"workers={workers}: give the number of building processes, 1 or more.")
+        check_whole("num_grasps", num_grasps, MIN_GRASPS, _MOST_GRASPS)
+        check_whole("workers", workers, 1)
         self.num_grasps = num_grasps
         self.cache_dir = Path(cache_dir).expanduser() if cache_dir is not None else default_cache_dir()
         self.workers = workers

@@ -7,6 +7,7 @@ from torchgrasp.sim._sapien import sapien as sapien
 from torchgrasp.sim.appearance import Randomization as Randomization
 from torchgrasp.sim.camera import Camera as Camera
 from torchgrasp.sim.camera import CameraIntrinsics as CameraIntrinsics
+from torchgrasp.sim.camera import LookAt as LookAt
 from torchgrasp.sim.camera import View as View
 from torchgrasp.sim.camera import look_at as look_at
 from torchgrasp.sim.physics import Physics as Physics

@@ -6,6 +6,7 @@ import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from torchgrasp.objects.model import GraspObject
 T_EE_CAMERA = np.array(
     [[0.0, -1.0, 0.0, 0.036], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.036], [0.0, 0.0, 0.0, 1.0]]
 )
+
+_MAX_SIDE = 8192  # pixels: a picture beyond that does not fit in memory, and no sensor makes one
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,8 @@ class CameraIntrinsics:
     far: float = 2.0
 
     def __post_init__(self) -> None:
-        check_whole("width", self.width, 1)
-        check_whole("height", self.height, 1)
+        check_whole("width", self.width, 1, _MAX_SIDE)
+        check_whole("height", self.height, 1, _MAX_SIDE)
         check_range("fov", self.fov, 0.0, np.pi * 0.95, open_low=True)
         check_range("near", self.near, 0.0, np.inf)
         check_range("far", self.far, self.near, np.inf, open_low=True)
@@ -104,6 +107,31 @@ def look_at(
     frame[:3, :3] = np.stack((right, np.cross(forward, right), forward), axis=-1)
     frame[:3, 3] = place
     return frame
+
+
+@dataclass(frozen=True)
+class LookAt:
+    """`look_at` as a part that a configuration can name: an array (4, 4) wherever one is taken.
+
+    Attributes:
+        position: (3,) metres, base frame.
+        target: (3,) metres, base frame.
+        up: (3,) direction that shows upwards in the picture.
+
+    Example:
+        >>> np.asarray(LookAt((1.4, 0.0, 0.9), (0.5, 0.0, 0.0)))[:3, 3].tolist()
+        [1.4, 0.0, 0.9]
+    """
+
+    position: Sequence[float]
+    target: Sequence[float]
+    up: Sequence[float] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        look_at(self.position, self.target, up=self.up)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return look_at(self.position, self.target, up=self.up).astype(dtype or np.float64)
 
 
 class Camera(ABC):
