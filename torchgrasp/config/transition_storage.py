@@ -42,9 +42,10 @@ def make_experience(
     check_state_inputs(cfg.model, shapes)
     capacity = 0 if cfg.offline.updates else int(replay.online_capacity)
     asked = count_steps(list_demonstrations(cfg).values())
+    folder = None if replay.folder is None else str(replay.folder)  # a name of digits is read as a number
     with at_place("replay"):
         row_bytes = count_row_bytes(row, prioritised=priority is not None)
-        check_space(capacity + asked, row_bytes, folder=replay.folder)
+        check_space(capacity + asked, row_bytes, folder=folder)
     return Experience(
         own,
         capacity=capacity,
@@ -55,7 +56,7 @@ def make_experience(
         seed=cfg.seed,
         augment=augment,
         priority=priority,
-        folder=replay.folder,
+        folder=folder,
         device=cfg.device,
     )
 

@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import check_whole
 from torchgrasp.transforms.base import PointTransform, check_is_cloud, read_rows, write_clouds
 
 
@@ -30,8 +30,7 @@ class SamplePoints(PointTransform):
     """
 
     def __init__(self, num_points: int = 1024, *, seed: int = 0) -> None:
-        if num_points < 1:
-            raise ConfigError(f"num_points={num_points}: give at least 1.")
+        check_whole("num_points", num_points, 1, 1_000_000)
         super().__init__(
             in_keys=[keys.POINTS, keys.NUM_POINTS], out_keys=[keys.POINTS, keys.NUM_POINTS], seed=seed
         )
