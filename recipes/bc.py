@@ -8,7 +8,6 @@ python recipes/bc.py model.actor.goal_prediction=false        # without the auxi
 
 from __future__ import annotations
 
-import hydra
 from omegaconf import DictConfig, ListConfig
 from tensordict.nn import TensorDictSequential
 
@@ -22,6 +21,7 @@ from torchgrasp.config import (
     make_expert,
     make_imitation_learner,
     one_line_errors,
+    recipe_main,
     training_config,
 )
 from torchgrasp.errors import ConfigError
@@ -108,7 +108,7 @@ def make_actors(run: Run[ImitationLearner]) -> list[TensorDictSequential]:
     return [actors[name]() for name in cfg.online.rollouts]
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="bc")
+@recipe_main(config_name="bc")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Train as configured."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig
 
 from torchgrasp.config import (
@@ -21,6 +20,7 @@ from torchgrasp.config import (
     observed_shapes,
     one_line_errors,
     prepare_objects,
+    recipe_main,
 )
 
 
@@ -39,7 +39,7 @@ def run(cfg: DictConfig) -> dict:
     return card
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
+@recipe_main(config_name="td3_bc")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Collect as configured."""

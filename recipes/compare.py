@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from torchgrasp.config import Comparison, check_values, one_line_errors, plain
+from torchgrasp.config import Comparison, check_values, one_line_errors, plain, recipe_main
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.comparison import GroupRow, compare_runs
 from torchgrasp.evaluation.run_groups import find_groups
@@ -54,7 +53,7 @@ def _title(groups: dict[str, list[Path]], key: str | None) -> str:
     return " / ".join(groups) + ("" if key is None else f": {key}")
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="compare")
+@recipe_main(config_name="compare")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Compare as configured."""

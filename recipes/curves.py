@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 
-from torchgrasp.config import Curves, check_values, one_line_errors, plain
+from torchgrasp.config import Curves, check_values, one_line_errors, plain, recipe_main
 from torchgrasp.evaluation.learning_curves import (
     LearningCurve,
     average_curves,
@@ -54,7 +53,7 @@ def _end(curve: LearningCurve) -> str:
     return f"{curve.mean[-1]:.4g}{spread}"
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="curves")
+@recipe_main(config_name="curves")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Draw as configured."""

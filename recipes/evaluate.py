@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 
-import hydra
 from omegaconf import DictConfig
 
 from torchgrasp.config import (
@@ -26,6 +25,7 @@ from torchgrasp.config import (
     open_run_dir,
     predict_grasps,
     prepare_objects,
+    recipe_main,
     write_page,
 )
 from torchgrasp.evaluation.success_rate import evaluate_policy
@@ -79,7 +79,7 @@ def evaluate(cfg: DictConfig) -> dict:
     return summary
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="evaluate")
+@recipe_main(config_name="evaluate")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Evaluate as configured."""

@@ -10,7 +10,6 @@ what they did themselves where it succeeded, with `online.self_imitation=true`.
 
 from __future__ import annotations
 
-import hydra
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
@@ -21,6 +20,7 @@ from torchgrasp.config import (
     given_sources,
     make_actor_critic,
     one_line_errors,
+    recipe_main,
     training_config,
 )
 from torchgrasp.runs import seed_everything
@@ -63,7 +63,7 @@ def tune(run: Run[ActorCriticLearner]) -> None:
                 learner.update_actor(batch)
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="hindsight")
+@recipe_main(config_name="hindsight")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Fine-tune as configured."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import time
 
-import hydra
 import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
@@ -20,7 +19,7 @@ from torchrl.envs import PendulumEnv
 from torchrl.envs.utils import step_mdp
 from torchrl.modules import MLP
 
-from torchgrasp.config import Pendulum, build, check_values, one_line_errors
+from torchgrasp.config import Pendulum, build, check_values, one_line_errors, recipe_main
 from torchgrasp.data import MixtureSampler
 from torchgrasp.objectives import StaggeredTargetUpdate
 from torchgrasp.runs import hardware, make_run_dir, seed_everything, versions
@@ -129,7 +128,7 @@ def descend(optimizer: torch.optim.Optimizer, terms: TensorDictBase) -> None:
     optimizer.step()
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="pendulum")
+@recipe_main(config_name="pendulum")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Learn from each seed, and print and write the table."""

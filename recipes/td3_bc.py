@@ -8,7 +8,6 @@ python recipes/td3_bc.py resume=outputs/td3_bc/<date_time>
 
 from __future__ import annotations
 
-import hydra
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
@@ -20,6 +19,7 @@ from torchgrasp.config import (
     make_actor_critic,
     make_expert,
     one_line_errors,
+    recipe_main,
     training_config,
 )
 from torchgrasp.data.demonstration_sources import without_expert
@@ -83,7 +83,7 @@ def make_actors(run: Run[ActorCriticLearner]) -> list[TensorDictSequential]:
     return [TensorDictSequential(*modules)]
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
+@recipe_main(config_name="td3_bc")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Train as configured."""

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import TransformedEnv
@@ -18,6 +17,7 @@ from torchgrasp.config import (
     make_split_env,
     one_line_errors,
     prepare_objects,
+    recipe_main,
 )
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
@@ -75,7 +75,7 @@ def play(
             viewer.show_result(name, episode, tables[name])
 
 
-@hydra.main(version_base=None, config_path="../conf", config_name="view")
+@recipe_main(config_name="view")
 @one_line_errors()
 def main(cfg: DictConfig) -> None:
     """Show as configured."""

@@ -1,3 +1,7 @@
+import os
+import subprocess
+import sys
+
 import pytest
 import trimesh
 
@@ -44,3 +48,32 @@ def test_mistakes_get_one_line(arguments, message, capsys):
     assert main(["objects", *arguments]) == 1
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
+
+
+def test_one_bad_entry_is_a_row_and_the_others_are_listed(meshes, capsys):
+    (meshes / "gone.obj").symlink_to(meshes / "nowhere.obj")
+    (meshes / "bottle.obj").mkdir()
+    trimesh.creation.box((0.04, 0.05, 0.12)).export(meshes / "bottle.obj" / "mesh.stl")
+    assert main(["objects", "folder", "--path", str(meshes), "--num-grasps", "100"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    assert "no: gone.obj cannot be read" in rows["gone"]
+    assert all("yes; unknown" in rows[name] for name in ("box", "bottle.obj/mesh"))
+
+
+def test_names_of_files_reach_no_terminal_as_they_are(meshes, capsys):
+    trimesh.creation.box((0.04, 0.05, 0.12)).export(meshes / "plain.stl")
+    (meshes / "plain.stl").rename(os.fsencode(meshes) + b"/\x1b[31mcaf\xe9.stl")
+    (meshes / "x\x1b[2J.obj").write_text("")
+    assert main(["objects", "folder", "--path", str(meshes), "--num-grasps", "100"]) == 0
+    told = capsys.readouterr()
+    assert "\\x1b[31mcaf\\xe9" in told.out and "\x1b" not in told.out
+    assert main(["objects", "folder", "--path", str(meshes / "\x1b[2J")]) == 1
+    assert "\\x1b[2J is not a directory" in capsys.readouterr().err
+
+
+def test_an_ascii_terminal_gets_the_table_too(meshes):
+    (meshes / "box.stl").rename(meshes / "кружка.stl")
+    command = [sys.executable, "-m", "torchgrasp", "objects", "folder", "--path", str(meshes)]
+    ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(command, capture_output=True, env={**os.environ, **ascii_only}, timeout=120)
+    assert done.returncode == 0 and b"\\u043a\\u0440\\u0443\\u0436\\u043a\\u0430 " in done.stdout

@@ -1,5 +1,7 @@
 """An evaluation's configuration: its protocol, what its policy brings along, and what was given."""
 
+import re
+
 import pytest
 
 from torchgrasp.config import evaluation_config
@@ -39,13 +41,53 @@ def test_a_policy_brings_networks_camera_transforms_and_horizon(composed, untrai
     assert (cfg.evaluation.episodes, cfg.evaluation.seed) == (7, 1000)
 
 
-def test_of_what_it_brings_nothing_is_changed_but_the_task_may_be(on_command_line, untrained):
+def test_networks_are_as_they_were_trained_and_the_task_may_be_another(on_command_line, untrained):
     policy = f"policy={untrained(*BROUGHT)}"
     cfg = evaluation_config(on_command_line(policy, "env.horizon=20", "seed=3", recipe="evaluate"))
     assert cfg.env.horizon == 20 and cfg.evaluation.seed == 3
-    for given in ("num_points=12", "transforms=single_view", "camera.intrinsics.width=64"):
-        with pytest.raises(ConfigError, match=f"num_points along, does not go with {given}"):
+    for given in ("num_points=12", "transforms=single_view"):
+        with pytest.raises(ConfigError, match=f"num_points along, does not go with {given}: of these give"):
             evaluation_config(on_command_line(policy, given, recipe="evaluate"))
+    for given in (
+        "+model.width=2",
+        "~transforms.table",
+        "+transforms.more={_target_: torchgrasp.transforms.TablePlane}",
+    ):
+        with pytest.raises(ConfigError, match="does not go with " + re.escape(given)):
+            evaluation_config(on_command_line(policy, given, recipe="evaluate"))
+
+
+def test_a_camera_of_ones_own_sees_for_a_trained_policy_and_the_transforms_follow(on_command_line, untrained):
+    policy = f"policy={untrained(*BROUGHT)}"
+    own = ("camera.intrinsics.width=212", "camera.intrinsics.height=120", "camera.intrinsics.fov=0.742")
+    cfg = evaluation_config(on_command_line(policy, *own, recipe="evaluate"))
+    seen = cfg.camera.intrinsics
+    assert (seen.width, seen.height, seen.fov) == (212, 120, 0.742) and cfg.model.width == 0.5
+    assert cfg.transforms.points.fov == cfg.transforms.aggregate.fov == 0.742
+    assert cfg.transforms.sample.num_points == 48
+    chosen = evaluation_config(on_command_line(policy, "camera=render", *own, recipe="evaluate")).camera
+    assert chosen._target_ == "torchgrasp.sim.RenderCamera" and chosen.intrinsics.fov == 0.742
+
+
+def test_single_values_of_the_transforms_hold_where_the_policy_has_them(on_command_line, untrained):
+    policy = f"policy={untrained(*BROUGHT)}"
+    cfg = evaluation_config(on_command_line(policy, "transforms.aggregate.alpha=0.5", recipe="evaluate"))
+    assert cfg.transforms.aggregate.alpha == 0.5 and cfg.transforms.points.fov == cfg.camera.intrinsics.fov
+    fov = "transforms.points.fov=0.3"
+    assert evaluation_config(on_command_line(policy, fov, recipe="evaluate")).transforms.points.fov == 0.3
+    single = f"policy={untrained(*BROUGHT, 'transforms=single_view', name='single')}"
+    told = r"transforms\.aggregate\.alpha=0\.5 finds nothing to change: policy=.* brings points, "
+    with pytest.raises(ConfigError, match=told):
+        evaluation_config(on_command_line(single, "transforms.aggregate.alpha=0.5", recipe="evaluate"))
+
+
+def test_a_policy_of_the_overhead_camera_follows_that_one(on_command_line, untrained):
+    views = ["overhead=raycast", "transforms.points.camera=overhead", "transforms.aggregate.carve=null"]
+    views += ["transforms.points.fov=${overhead.intrinsics.fov}"]
+    policy = f"policy={untrained(*BROUGHT, *views)}"
+    cfg = evaluation_config(on_command_line(policy, "camera.intrinsics.fov=0.7", recipe="evaluate"))
+    assert cfg.overhead.intrinsics.fov == cfg.transforms.points.fov == 1.0
+    assert cfg.transforms.aggregate.fov == 0.7
 
 
 @pytest.mark.parametrize(

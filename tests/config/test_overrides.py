@@ -30,14 +30,6 @@ def test_choices_additions_and_deletions_are_refused_where_a_run_is_resumed(on_c
         given_values("resume=run")
 
 
-def test_of_fixed_parts_nothing_may_be_given_and_of_the_rest_nested_values_count(on_command_line):
-    on_command_line("seed=3", "online.updates=5", "objects=procedural")
-    assert given_values("policy=run", fixed=("model",)) == {"online": {"updates": 5}}
-    on_command_line("model.width=2")
-    with pytest.raises(ConfigError, match=r"policy=run does not go with model\.width=2"):
-        given_values("policy=run", fixed=("model",))
-
-
 def test_copies_take_new_keys_and_leave_the_first_alone():
     cfg = OmegaConf.create({"a": {"b": 1}})
     OmegaConf.set_struct(cfg, True)

@@ -65,3 +65,62 @@ def test_what_is_missing_or_damaged_is_named(tmp_path, crate):
     file.write_bytes(b"no h5 file")
     with pytest.raises(ObjectError, match="fetch it again"):
         crate()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "told"),
+    [
+        ("object/scale", np.nan, "object/scale=.*one factor"),
+        ("object/scale", 1e300, "object/scale=.*one factor"),
+        ("object/scale", [1.0, 2.0], "object/scale=.*one factor"),
+        ("object/scale", b"large", "object/scale that is no number"),
+        ("object/file", b"caf\xe9.obj", "names a mesh by .*fetch it again"),
+        ("object/file", "x" * 5000, "names a mesh by|put the ShapeNetSem mesh there"),
+        ("object/file", "/etc/passwd", "outside"),
+        ("grasps/transforms", [[1.0]], r"transforms of shape \(1, 1\)"),
+        ("grasps/transforms", 1.0, r"transforms of shape \(\)"),
+        ("grasps/transforms", b"none", "transforms that is no number"),
+    ],
+)
+def test_values_of_another_kind_are_named(tmp_path, crate, key, value, told):
+    name = write_acronym(tmp_path)
+    with h5py.File(tmp_path / "grasps" / f"{name}.h5", "a") as opened:
+        del opened[key]
+        opened[key] = value
+    with pytest.raises(ObjectError, match=rf"(?s){name}\.h5.*{told}"):
+        crate()[0]
+
+
+def test_data_outside_the_file_or_beyond_memory_are_refused(tmp_path, crate):
+    name = write_acronym(tmp_path)
+    key, shape = "grasps/transforms", (240, 4, 4)
+
+    def replaced(store, told):
+        with h5py.File(tmp_path / "grasps" / f"{name}.h5", "a") as opened:
+            if key in opened:
+                del opened[key]
+            store(opened)
+        with pytest.raises(ObjectError, match=told):
+            crate()[0]
+
+    raw = str(tmp_path / "raw.bin")
+    np.zeros(shape).tofile(raw)
+    outside = [(raw, 0, h5py.h5f.UNLIMITED)]
+    replaced(lambda f: f.create_dataset(key, shape, "f8", external=outside), "in another file")
+    other = tmp_path / "other.h5"
+    with h5py.File(other, "w") as opened:
+        opened["t"] = np.zeros(shape)
+    replaced(lambda f: f.__setitem__(key, h5py.ExternalLink(str(other), "t")), "in another file")
+    layout = h5py.VirtualLayout(shape, "f8")
+    layout[:] = h5py.VirtualSource(str(other), "t", shape)
+    replaced(lambda f: f.create_virtual_dataset(key, layout), "in another file")
+    huge = (10**9, 4, 4)
+    replaced(lambda f: f.create_dataset(key, huge, "f8", chunks=(100, 4, 4)), "would take")
+
+
+def test_meshes_may_lie_behind_a_link(tmp_path, crate):
+    (tmp_path / "meshes").rename(tmp_path / "elsewhere")
+    (tmp_path / "meshes").symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "grasps" / "._x.h5").write_bytes(b"\0\5\x16\7")
+    (item,) = crate()
+    assert item.family == "Crate"

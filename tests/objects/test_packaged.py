@@ -77,3 +77,14 @@ def test_wrong_options_are_refused(options):
     for make in SETS.values():
         with pytest.raises(ConfigError, match=f"{next(iter(options))}="):
             make(**options)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"\xff\xfe", b"{", b"[]", b'{"objects": []}', b'{"objects": {"a": 1}}', b"[" * 100_000, b"{}"],
+)
+def test_a_damaged_index_is_named(monkeypatch, tmp_path, content):
+    (tmp_path / "ycb.json").write_bytes(content)
+    monkeypatch.setattr(packaged, "INDEX_DIR", tmp_path)
+    with pytest.raises(ObjectError, match=r"ycb\.json is damaged .*install torchgrasp again"):
+        packaged.read_index.__wrapped__("ycb")

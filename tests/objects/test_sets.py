@@ -152,3 +152,14 @@ def test_wrong_options_are_refused_at_construction(options, message):
 def test_index_out_of_range():
     with pytest.raises(IndexError):
         ProceduralObjects("train", num_objects=2)[2]
+
+
+def test_a_user_without_a_home_is_told_of_the_variable(monkeypatch):
+    for name in ("TORCHGRASP_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 4_000_000_000)  # as containers start: no entry of this number
+    with pytest.raises(ConfigError, match=r"no home directory .*set TORCHGRASP_CACHE"):
+        ProceduralObjects("train", num_objects=1)
+    monkeypatch.setenv("TORCHGRASP_CACHE", "~/cache")
+    with pytest.raises(ConfigError, match=r"^TORCHGRASP_CACHE='~/cache': no home directory is known"):
+        ProceduralObjects("train", num_objects=1)

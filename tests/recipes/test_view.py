@@ -84,10 +84,9 @@ def test_the_target_is_the_objects_mesh_where_physics_has_it(played):
 def test_the_page_tells_of_both_episodes(played):
     viewer, env, table = played
     assert table.episodes == 2
-    assert f"lifted {table.successes} of 2" in viewer.panel.success.content
+    assert f"lifted {table.successes} of 2" in viewer.panel.success.value
     assert viewer.panel.time_left.value == 0.0
-    name = viewer.panel.state.content.split("**")[1]
-    assert name == env.worlds._worlds[0].placement.target.name
+    assert viewer.panel.target.value == env.worlds._worlds[0].placement.target.name
 
 
 def test_cloud_and_grasps_are_drawn_in_the_hand_that_saw_them(played):

@@ -13,6 +13,7 @@ import sys
 
 from torchgrasp import __version__
 from torchgrasp.errors import TorchgraspError
+from torchgrasp.names import one_line, write_out_what_cannot_be_encoded
 
 # A tool's module has HELP, add_arguments(parser) and run(args) -> exit code; it imports what it needs in run.
 TOOLS = {
@@ -78,6 +79,7 @@ def _run_tool(name: str, options: list[str]) -> int:
     parser = argparse.ArgumentParser(prog=f"torchgrasp {name}", description=module.HELP)
     module.add_arguments(parser)
     args = parser.parse_args(options)
+    write_out_what_cannot_be_encoded()
     try:
         code = module.run(args)
         sys.stdout.flush()
@@ -86,5 +88,5 @@ def _run_tool(name: str, options: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except TorchgraspError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print("error:", one_line(error), file=sys.stderr)
         return 1

@@ -7,6 +7,7 @@ import json
 from dataclasses import dataclass
 
 from torchgrasp.errors import ConfigError, ObjectError
+from torchgrasp.names import one_line, printable
 from torchgrasp.objects import (
     AcronymObjects,
     FolderObjects,
@@ -108,13 +109,14 @@ def _short(reason: str) -> str:
 
 def print_rows(rows: list[Row]) -> None:
     """The table, its totals below."""
-    width = max(len(row.name) for row in rows)
+    names = [printable(row.name) for row in rows]
+    width = max(map(len, names))
     print(f"{'name':{width}}  {'size (cm)':18} {'parts':>5} {'grasps':>6} {'rests':>5}  graspable, licence")
-    for row in rows:
-        verdict = f"no: {row.reason}" if row.reason else "yes"
+    for name, row in zip(names, rows, strict=True):
+        verdict = f"no: {one_line(row.reason)}" if row.reason else "yes"
         print(
-            f"{row.name:{width}}  {row.size:18} {row.parts:5} {row.grasps:6} {row.resting:>5}  {verdict};"
-            f" {row.licence}"
+            f"{name:{width}}  {row.size:18} {row.parts:5} {row.grasps:6} {row.resting:>5}  {verdict};"
+            f" {one_line(row.licence)}"
         )
     good = sum(not row.reason for row in rows)
     print(

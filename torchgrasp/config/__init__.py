@@ -27,6 +27,7 @@ from torchgrasp.config.one_line_errors import one_line_errors as one_line_errors
 from torchgrasp.config.overrides import plain as plain
 from torchgrasp.config.parts import build as build
 from torchgrasp.config.policies import make_policy as make_policy
+from torchgrasp.config.recipe_main import recipe_main as recipe_main
 from torchgrasp.config.report_page import describe_scenes as describe_scenes
 from torchgrasp.config.report_page import write_page as write_page
 from torchgrasp.config.run import Run as Run

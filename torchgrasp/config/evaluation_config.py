@@ -6,7 +6,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig
 
-from torchgrasp.config.overrides import copy, given_names, given_values, merge
+from torchgrasp.config.brought_parts import join_brought
+from torchgrasp.config.overrides import copy, given_names, merge
 from torchgrasp.config.policies import POLICIES, RELAYS
 from torchgrasp.config.schema import Evaluate
 from torchgrasp.config.value_checks import check_values
@@ -16,8 +17,6 @@ from torchgrasp.evaluation.protocols import find_protocol
 
 # The tabletop protocol's fixed start, unless start=varied says otherwise.
 _TABLETOP = {"_target_": "torchgrasp.envs.TabletopStart", "spread": 0.0}
-# What a trained policy brings along; its transforms name the number of points.
-_BROUGHT = ("model", "camera", "overhead", "transforms")
 
 
 def evaluation_config(cfg: DictConfig) -> DictConfig:
@@ -26,7 +25,8 @@ def evaluation_config(cfg: DictConfig) -> DictConfig:
     check_values(cfg, Evaluate)
     option, path = _find_learned(cfg)
     if path is not None:
-        cfg = _bring_along(cfg, option, path)
+        brought = read_trained(path, cfg.trust).config
+        cfg = join_brought(cfg, brought, f"{option}={path}")
     # objects.split=... and objects.num_objects=... say which objects, as everywhere.
     chosen = {
         name: cfg.objects[name] for name in ("split", "num_objects") if f"objects.{name}" in given_names()
@@ -45,18 +45,6 @@ def _follow_protocol(cfg: DictConfig) -> DictConfig:
             raise ConfigError("protocol=tabletop has a start of its own: add start=fixed or start=varied.")
         cfg.env.start = _TABLETOP
     return cfg
-
-
-def _bring_along(cfg: DictConfig, option: str, path: Path) -> DictConfig:
-    """The configuration with what the weights at `path` were trained with, then what was given."""
-    brought = read_trained(path, cfg.trust).config
-    kept = {name: brought.get(name) for name in _BROUGHT}
-    fixed = (*kept, "num_points")
-    given = given_values(f"{option}={path}, which brings {', '.join(fixed)} along,", fixed=fixed)
-    task = {name: brought["env"][name] for name in ("horizon", "action_space") if name in brought["env"]}
-    plain = {key: value for key, value in cfg.items() if key not in kept}
-    seen = {"num_points": brought.get("num_points", cfg.num_points)}
-    return merge(plain, {**kept, "env": task}, given, seen)
 
 
 def _find_learned(cfg: DictConfig) -> tuple[str, Path | None]:

@@ -11,6 +11,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 
 from torchgrasp.errors import TorchgraspError
+from torchgrasp.names import one_line
 
 
 class _OneLineErrors(ContextDecorator):
@@ -28,7 +29,7 @@ class _OneLineErrors(ContextDecorator):
             raise SystemExit(1) from None
         if cause is None:
             return
-        print("error:", " ".join(str(cause).split()), file=sys.stderr)
+        print("error:", one_line(cause), file=sys.stderr)
         raise SystemExit(1) from None
 
 
@@ -52,9 +53,9 @@ def one_line_errors() -> ContextDecorator:
 
     Output that nobody reads any longer, as behind `| head`, ends without a word.
 
-    As a decorator it stands below Hydra's, which would print a traceback itself:
+    As a decorator it stands below `recipe_main`, in which Hydra would print a traceback itself:
 
-        @hydra.main(version_base=None, config_path="../conf", config_name="td3_bc")
+        @recipe_main(config_name="td3_bc")
         @one_line_errors()
         def main(cfg): ...
 

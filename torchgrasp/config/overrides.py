@@ -2,39 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.errors import ConfigError
 
 
+def given_overrides() -> list[Override]:
+    """What the command line says: names (`key_or_group`), values, and the words given (`input_line`)."""
+    tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
+    return OverridesParser.create().parse_overrides(list(tasks))
+
+
 def given_names() -> list[str]:
     """Names of all values on the command line."""
-    tasks = HydraConfig.get().overrides.task if HydraConfig.initialized() else []
-    return [each.lstrip("+~").split("=")[0] for each in tasks]
+    return [each.key_or_group for each in given_overrides()]
 
 
-def given_values(option: str, *, fixed: tuple[str, ...] = ()) -> DictConfig:
-    """The plain values of the command line, nested ones alone where some parts of the whole are `fixed`.
+def is_plain(override: Override) -> bool:
+    """Whether an override changes what is there, and neither adds nor deletes."""
+    return override.type == OverrideType.CHANGE
 
-    Choices of groups, additions and deletions do not go with `option`, nor do values of fixed parts.
+
+def words(overrides: Iterable[Override]) -> str:
+    """Overrides as they stand on the command line."""
+    return ", ".join(str(each.input_line) for each in overrides)
+
+
+def given_values(option: str) -> DictConfig:
+    """The plain values of the command line.
+
+    Raises:
+        ConfigError: for choices of groups, additions and deletions, which do not go with `option`.
     """
-    if not HydraConfig.initialized():
-        return OmegaConf.create({})
-    hydra = HydraConfig.get()
-    given = {each: each.split("=")[0] for each in hydra.overrides.task}
-    groups = set(fixed) if fixed else set(hydra.runtime.choices)
-    refused = [each for each, name in given.items() if each[0] in "~+" or name in groups]
-    refused += [each for each, name in given.items() if "." in name and name.split(".")[0] in fixed]
-    if refused:
-        raise ConfigError(f"{option} does not go with {', '.join(refused)}: give other plain values alone.")
-    plain = [each for each, name in given.items() if name != "resume" and ("." in name or not fixed)]
     values = OmegaConf.create({})
-    for override in OverridesParser.create().parse_overrides(plain):
-        OmegaConf.update(values, override.key_or_group, override.value(), force_add=True)
+    groups = HydraConfig.get().runtime.choices if HydraConfig.initialized() else {}
+    given = given_overrides()
+    refused = [each for each in given if not is_plain(each) or each.key_or_group in groups]
+    if refused:
+        raise ConfigError(f"{option} does not go with {words(refused)}: give other plain values alone.")
+    for each in given:
+        if each.key_or_group != "resume":
+            OmegaConf.update(values, each.key_or_group, each.value(), force_add=True)
     return values
 
 

@@ -15,6 +15,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from torchgrasp.config.one_line_errors import find_cause
+from torchgrasp.names import one_line
 from torchgrasp.runs.sweep_record import SweepJob, note_run_dir, read_job, read_sweep, write_job
 
 
@@ -81,5 +82,5 @@ def _describe(error: Any) -> str:
     cause = find_cause(error)
     if cause is None:
         traceback.print_exception(error)
-        return " ".join(f"{type(error).__name__}: {error}".split())
-    return " ".join(str(cause).split())
+        return one_line(f"{type(error).__name__}: {error}")
+    return one_line(cause)

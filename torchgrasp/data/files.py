@@ -21,7 +21,8 @@ def write_text_atomically(path: str | Path, text: str) -> None:
     """Write `text` to `path`: a reader sees the old content or the new one, never a part."""
     path = Path(path)
     part = path.with_name(f".{path.name}.new")
-    part.write_text(text)
+    # Names may hold bytes of no encoding, which stay legible so.
+    part.write_text(text, encoding="utf-8", errors="backslashreplace")
     _fsync(part)
     part.replace(path)
     _fsync(path.parent)

@@ -11,23 +11,28 @@ import warnings
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
+from reprlib import repr as short
 from typing import Any, Literal
 
 import numpy as np
 
 from torchgrasp.errors import ConfigError, ObjectError, check_whole
+from torchgrasp.names import object_name, one_line, to_path
 from torchgrasp.objects.build import assemble
 from torchgrasp.objects.cache import cache_key
 from torchgrasp.objects.file_objects import FileObjects, Source, check_on_error
-from torchgrasp.objects.folder import split_of
+from torchgrasp.objects.folder import choose
 from torchgrasp.objects.grasps import GraspCandidates, choose_grasps
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.objects.scales import GREATEST, LEAST
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, Split
 from torchgrasp.objects.solids import Solid
 
 # The files' gripper opens along x, this project's hand along y; both have their origin in the hand's
 # flange and approach along z. The hand is symmetric: +90 and -90 degrees are the same grasp.
 T_ACRONYM_EE = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+# Of a file of 2,000 grasps the largest data set has 256 kB.
+_MOST_BYTES = 100_000_000
 
 
 class AcronymObjects(FileObjects):
@@ -69,19 +74,20 @@ class AcronymObjects(FileObjects):
         if num_objects is not None:
             check_whole("num_objects", num_objects, 1)
         check_on_error(on_error)
-        self.path = Path(path).expanduser()
-        files = _chosen(self.path, split, include)[:num_objects]
-        sources = {file: _source_or_skip(self.path, file, on_error) for file in files}
-        files = [file for file, source in sources.items() if source is not None]
+        self.path = to_path("path", path)
+        named = choose(_grasp_files(self.path), self.path / "grasps", split=split, include=include)
+        files = list(named.values())[:num_objects]
+        found = {file: _source_or_skip(self.path, file, on_error) for file in files}
+        sources = {file: source for file, source in found.items() if source is not None}
         super().__init__(
-            [source for source in sources.values() if source is not None],
+            list(sources.values()),
             concavity=concavity,
             min_grasps=min_grasps,
             num_grasps=num_grasps,
             cache_dir=cache_dir,
             workers=workers,
         )
-        self._grasp_files = {file.stem: file for file in files}
+        self._grasp_files = {source.name: file for file, source in sources.items()}
         if on_error == "skip":
             self._skip_unusable(self.path)
 
@@ -124,8 +130,8 @@ def read_grasps(file: Path, *, successful: bool = True) -> np.ndarray:
         file: an .h5 file.
         successful: those that held in FleX, otherwise those that did not.
     """
-    poses = np.asarray(_read(file, "grasps/transforms"), np.float64)
-    held = np.asarray(_read(file, "grasps/qualities/flex/object_in_gripper")).ravel() > 0
+    poses = _read_numbers(file, "grasps/transforms")
+    held = _read_numbers(file, "grasps/qualities/flex/object_in_gripper").ravel() > 0
     if poses.shape[1:] != (4, 4) or len(poses) != len(held) or not np.isfinite(poses).all():
         raise ObjectError(
             f"{file} has grasps/transforms of shape {poses.shape}: (N, 4, 4) finite ones are read."
@@ -133,12 +139,29 @@ def read_grasps(file: Path, *, successful: bool = True) -> np.ndarray:
     return poses[held == successful]
 
 
+def _read_numbers(file: Path, key: str) -> np.ndarray:
+    """The array of numbers that stands under a key."""
+    found = _read(file, key)
+    try:
+        return np.asarray(found, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ObjectError(f"{file} has a {key} that is no number: fetch it again or remove it.") from error
+
+
 def _read(file: Path, key: str) -> Any:
+    """What stands under a key; ObjectError where it cannot be read, is huge, or lies in another file."""
     h5py = import_h5py()
     try:
         with h5py.File(file, "r") as opened:
-            return opened[key][()]
-    except (OSError, KeyError) as error:
+            found = opened[key]
+            if not isinstance(found, h5py.Dataset):
+                raise KeyError("it is no data set")
+            if found.external or found.is_virtual or found.file.filename != opened.filename:
+                raise OSError("it lies in another file")
+            if found.nbytes > _MOST_BYTES:
+                raise OSError(f"it would take {found.nbytes / 1e6:.0f} MB")
+            return found[()]
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError) as error:
         raise ObjectError(
             f"{file} has no {key} that can be read ({error}): fetch it again or remove it."
         ) from error
@@ -146,17 +169,33 @@ def _read(file: Path, key: str) -> Any:
 
 def _source(path: Path, file: Path) -> Source:
     """The mesh that a grasp file names, and its scale to metres."""
+    mesh, scale = _mesh(path, file), _read_numbers(file, "object/scale")
+    if scale.size != 1 or not LEAST <= scale.item() <= GREATEST:
+        raise ObjectError(
+            f"{file} has object/scale={short(scale)}: one factor of at most {GREATEST:g} is read."
+        )
+    return Source(
+        object_name(Path(file.stem)), mesh, object_name(Path(mesh.parent.name)), "CC BY-NC 4.0", scale.item()
+    )
+
+
+def _mesh(path: Path, file: Path) -> Path:
+    """The mesh file that a grasp file names, below `path`."""
     named = _read(file, "object/file")
-    named = named.decode() if isinstance(named, bytes) else str(named)
-    scale = float(_read(file, "object/scale"))
-    mesh = (path / named).resolve()
-    if not mesh.is_relative_to(path.resolve()):
+    try:
+        named = named.decode() if isinstance(named, bytes) else str(named)
+        # By its words alone: folders may be links to another disk.
+        inside = not Path(named).is_absolute() and ".." not in Path(named).parts
+        there = (path / named).is_file()
+    except (OSError, ValueError) as error:
+        raise ObjectError(
+            f"{file} names a mesh by {short(named)}, which is no path ({error}): fetch it again."
+        ) from error
+    if not inside:
         raise ObjectError(f"{file} names a mesh outside {path}: {named}.")
-    if not mesh.is_file():
+    if not there:
         raise ObjectError(f"{file} needs {path / named}: put the ShapeNetSem mesh there, or remove the file.")
-    if not 0.0 < scale < float("inf"):
-        raise ObjectError(f"{file} has object/scale={scale}: a positive factor is expected.")
-    return Source(file.stem, path / named, Path(named).parent.name, "CC BY-NC 4.0", scale)
+    return path / named
 
 
 def _source_or_skip(path: Path, file: Path, on_error: str) -> Source | None:
@@ -166,22 +205,16 @@ def _source_or_skip(path: Path, file: Path, on_error: str) -> Source | None:
     except ObjectError as error:
         if on_error == "raise":
             raise
-        warnings.warn(f"Skipped: {error}", stacklevel=3)
+        warnings.warn(one_line(f"Skipped: {error}"), stacklevel=3)
         return None
 
 
-def _chosen(path: Path, split: Split | None, include: Sequence[str] | None) -> list[Path]:
+def _grasp_files(path: Path) -> dict[str, Path]:
+    """The .h5 files by their objects' names."""
     folder = path / "grasps"
-    files = {file.stem: file for file in sorted(folder.glob("*.h5"))}
+    files = sorted(file for file in folder.glob("*.h5") if not file.name.startswith("."))
     if not files:
         raise ObjectError(
             f"{folder} holds no .h5 file: path= names the folder with grasps/ and meshes/ in it."
         )
-    for name in include or ():
-        if name not in files:
-            raise ObjectError(f"include has {name!r}, but {folder} holds {', '.join(list(files)[:20])}.")
-    chosen = [files[name] for name in (include if include is not None else files)]
-    chosen = [file for file in chosen if split is None or split_of(file.stem) == split]
-    if not chosen:
-        raise ObjectError(f"No file in {folder} is left for split={split!r}: give split=None for all.")
-    return chosen
+    return {object_name(Path(file.stem)): file for file in files}

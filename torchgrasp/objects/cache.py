@@ -14,7 +14,8 @@ from typing import IO, TypeVar
 
 import numpy as np
 
-from torchgrasp.errors import ObjectError
+from torchgrasp.errors import ConfigError, ObjectError
+from torchgrasp.names import to_path
 from torchgrasp.objects.model import GraspObject
 
 T = TypeVar("T")
@@ -31,11 +32,21 @@ _ARRAYS = (
 
 
 def default_cache_dir() -> Path:
-    """``$TORCHGRASP_CACHE/objects``, else ``torchgrasp/objects`` in the user's cache directory."""
-    if root := os.environ.get("TORCHGRASP_CACHE"):
-        return Path(root).expanduser() / "objects"
-    user = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(user).expanduser() / "torchgrasp" / "objects"
+    """``$TORCHGRASP_CACHE/objects``, else ``torchgrasp/objects`` in the user's cache directory.
+
+    Raises:
+        ConfigError: where the user has no home directory, as in some containers.
+    """
+    for name, inner in (("TORCHGRASP_CACHE", "objects"), ("XDG_CACHE_HOME", "torchgrasp/objects")):
+        if root := os.environ.get(name):
+            return to_path(name, root) / inner
+    try:
+        return Path.home() / ".cache" / "torchgrasp" / "objects"
+    except RuntimeError as error:
+        raise ConfigError(
+            "This user has no home directory where built objects could be kept: set TORCHGRASP_CACHE to a "
+            "directory that can be written to."
+        ) from error
 
 
 def cache_key(*parts: object) -> str:
@@ -56,11 +67,11 @@ def load_or_build(path: Path, build: Callable[[], GraspObject]) -> GraspObject:
 
     def attempt() -> GraspObject:
         if refused.exists():
-            raise ObjectError(refused.read_text())
+            raise ObjectError(read_refusal(refused))
         try:
             return build()
         except ObjectError as error:
-            text = str(error).encode()
+            text = str(error).encode(errors="backslashreplace")
             with contextlib.suppress(OSError):  # an unwritable cache only costs the next attempt
                 write_whole(refused, lambda file: file.write(text))
             raise
@@ -71,6 +82,11 @@ def load_or_build(path: Path, build: Callable[[], GraspObject]) -> GraspObject:
 def refusal_path(path: Path) -> Path:
     """Where it is remembered why the object of `path` cannot be built."""
     return path.with_suffix(".refused")
+
+
+def read_refusal(refused: Path) -> str:
+    """The reason that a file of `refusal_path` holds."""
+    return refused.read_text(encoding="utf-8", errors="replace")
 
 
 def cached(

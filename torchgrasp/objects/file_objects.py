@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from torchgrasp.errors import ConfigError, ObjectError, check_range
+from torchgrasp.names import file_stem
 from torchgrasp.objects.build import BUILD_VERSION, build_object
 from torchgrasp.objects.cache import cache_key
 from torchgrasp.objects.meshes import read_solid
@@ -97,7 +98,7 @@ class FileObjects(ObjectSet):
         source = self._sources[index]
         told = (source.name, source.family, source.licence, self.num_grasps, self.min_grasps)
         key = cache_key(type(self).__name__, BUILD_VERSION, self._content(source), told)
-        return self.cache_dir / f"{Path(source.name).name}-{key}.npz"
+        return self.cache_dir / f"{file_stem(source.name)}-{key}.npz"
 
     def _solid(self, source: Source) -> Solid:
         return read_solid(source.file, scale=source.scale, concavity=self.concavity, resize=self.resize)

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from torchgrasp.errors import ConfigError, check_whole
+from torchgrasp.errors import ConfigError, ObjectError, check_whole
 from torchgrasp.objects.file_objects import FileObjects, Source
 from torchgrasp.objects.solids import Solid
 
@@ -33,7 +33,15 @@ def package_folder(package: str, extra: str) -> Path:
 def read_index(kind: str) -> dict[str, str]:
     """Why an object is unusable, by name; empty text for those that are usable, nothing where unknown."""
     file = INDEX_DIR / f"{kind}.json"
-    return json.loads(file.read_text())["objects"] if file.exists() else {}
+    if not file.exists():
+        return {}
+    try:
+        objects = json.loads(file.read_text(encoding="utf-8"))["objects"]
+        if not all(isinstance(reason, str) for reason in objects.values()):
+            raise TypeError("a reason is no text")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise ObjectError(f"{file} is damaged ({error}): install torchgrasp again.") from error
+    return objects
 
 
 class PackagedObjects(FileObjects):

@@ -11,8 +11,9 @@ from typing import Literal, overload
 
 import numpy as np
 
-from torchgrasp.errors import check_whole
-from torchgrasp.objects.cache import default_cache_dir, load_or_build, refusal_path
+from torchgrasp.errors import ObjectError, check_whole
+from torchgrasp.names import to_path
+from torchgrasp.objects.cache import default_cache_dir, load_or_build, read_refusal, refusal_path
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.parallel import run_each
 
@@ -39,7 +40,7 @@ class ObjectSet(Sequence[GraspObject], ABC):
         check_whole("num_grasps", num_grasps, MIN_GRASPS, _MOST_GRASPS)
         check_whole("workers", workers, 1)
         self.num_grasps = num_grasps
-        self.cache_dir = Path(cache_dir).expanduser() if cache_dir is not None else default_cache_dir()
+        self.cache_dir = default_cache_dir() if cache_dir is None else to_path("cache_dir", cache_dir)
         self.workers = workers
         self._memory: OrderedDict[int, GraspObject] = OrderedDict()
 
@@ -91,14 +92,16 @@ class ObjectSet(Sequence[GraspObject], ABC):
         return int(rng.integers(len(self)))
 
     def refusal(self, index: int) -> str | None:
-        """Why the object cannot be used, as far as an earlier attempt to build it has told."""
-        refused = refusal_path(self._cache_path(index))
-        return refused.read_text() if refused.exists() else None
+        """Why the object cannot be used: its file cannot be read, or an earlier attempt to build it told."""
+        try:
+            refused = refusal_path(self._cache_path(index))
+        except ObjectError as error:
+            return str(error)
+        return read_refusal(refused) if refused.exists() else None
 
     def missing(self) -> list[int]:
-        """Indices of the objects that the cache neither holds nor remembers as refused."""
-        paths = (self._cache_path(index) for index in range(len(self)))
-        return [i for i, path in enumerate(paths) if not (path.exists() or refusal_path(path).exists())]
+        """Indices of the objects that are to be built: neither in the cache nor refused."""
+        return [i for i in range(len(self)) if self.refusal(i) is None and not self._cache_path(i).exists()]
 
     def prepare(self, *, progress: bool = True, workers: int | None = None) -> None:
         """Build what the cache lacks, with a progress bar; nothing happens where all is there.

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from torchgrasp.data.files import write_text_atomically
 from torchgrasp.evaluation.comparison import Difference, GroupRow, by_measure
 from torchgrasp.evaluation.intervals import Interval
+from torchgrasp.names import printable
 from torchgrasp.report.pages import render_page
 
 _HEAD = ("", "seeds", "of each", "mean ± s.d.", "episodes", "pooled, 95 % interval")
@@ -196,13 +198,18 @@ def _number(value: float, row: GroupRow, *, sign: bool = False) -> str:
 def _pipes(head: Sequence[object], lines: list[tuple]) -> str:
     """A Markdown table; empty where it has no lines."""
     marks = ["---"] * len(head)
-    texts = [[str(cell).replace("|", "\\|") for cell in line] for line in (head, marks, *lines)]
+    texts = [[_markdown(cell) for cell in line] for line in (head, marks, *lines)]
     return "\n".join(f"| {' | '.join(line)} |" for line in texts) if lines else ""
+
+
+def _markdown(cell: object) -> str:
+    """A cell as text alone: labels may hold signs of Markdown's tables or of HTML."""
+    return printable(escape(str(cell), quote=False)).replace("|", "\\|")
 
 
 def _columns(head: Sequence[object], lines: list[tuple]) -> str:
     """A table in columns as wide as their widest cell."""
-    texts = [[str(cell) for cell in line] for line in (head, *lines)]
+    texts = [[printable(cell) for cell in line] for line in (head, *lines)]
     widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
     justify: Callable = lambda line: "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))  # noqa: E731
     return "\n".join(justify(line).rstrip() for line in texts) if lines else ""

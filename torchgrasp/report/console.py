@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from torchgrasp import keys
+from torchgrasp.names import printable
 from torchgrasp.rollouts.episode_pool import Episode
 
 # A success table of `SuccessTable.summary`, or a row of one.
@@ -23,7 +24,7 @@ def print_comparison(tables: Mapping[str, Table], *, episodes: int, scenes: str)
     """
     print(f"\nSuccess on the same {episodes} scenes of {scenes}, 95 % interval")
     for name, table in reversed(list(tables.items())):
-        print(f"  {name:30s} {_rate(table)}")
+        print(f"  {printable(name):30s} {_rate(table)}")
 
 
 def print_failures(table: Table) -> None:
@@ -75,7 +76,7 @@ def learner_steps(episode: Episode) -> str:
 
 
 def _counts(name: str, row: Table) -> str:
-    return f"{name:30s} {row['successes']:4d} of {row['episodes']:4d}  {_rate(row)}"
+    return f"{printable(name):30s} {row['successes']:4d} of {row['episodes']:4d}  {_rate(row)}"
 
 
 def _rate(row: Table) -> str:

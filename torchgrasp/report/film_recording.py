@@ -8,6 +8,7 @@ from pathlib import Path
 from torchrl.envs import TransformedEnv
 
 from torchgrasp.envs import GraspEnv
+from torchgrasp.names import file_stem
 from torchgrasp.report.film import EndingRecorder, EpisodeFilm, write_video
 from torchgrasp.rollouts import SerialPool
 from torchgrasp.rollouts.episode_pool import run_episodes
@@ -41,7 +42,8 @@ def record_films(
         episodes = run_episodes(pool, "test", policy, num_episodes=num_episodes, num_envs=base.num_envs)
         for episode in episodes:
             word = "lifted" if episode.success else "failed"
-            path = folder / f"{len(paths):03d}_{episode.object_name.replace('/', '_')}_{word}.mp4"
+            stem = file_stem(episode.object_name.replace("/", "_"))
+            path = folder / f"{len(paths):03d}_{stem}_{word}.mp4"
             ending = recorder.endings.pop(episode.world - base.first_world, ())
             paths.append(write_video(path, film.frames(episode.steps, ending), fps=fps))
             progress.update()

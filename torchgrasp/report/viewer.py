@@ -19,6 +19,7 @@ from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.geometry import goal_to_pose
 from torchgrasp.report.drawing import observed_points
+from torchgrasp.report.page_origin import refuse_other_pages
 from torchgrasp.report.viewer_panel import FASTEST, SLOWEST, Skipped, ViewerPanel
 from torchgrasp.report.viewer_scene import ViewerScene
 from torchgrasp.rollouts.episode_pool import Episode
@@ -76,6 +77,7 @@ class EpisodeViewer:
         # viser greets in a box of its own, and tells of its end.
         with contextlib.redirect_stdout(io.StringIO()):
             self._server = viser.ViserServer(host=host, port=port, label="torchgrasp", verbose=False)
+        refuse_other_pages(self._server, host)
         self.address = f"http://{host}:{self._server.get_port()}"
         self.scene = ViewerScene(self._server)
         self.panel = ViewerPanel(self._server, policies=policies, speed=speed)
@@ -84,7 +86,7 @@ class EpisodeViewer:
     @property
     def policy(self) -> str:
         """Name of the policy that the page has chosen."""
-        return self.panel.policy.value
+        return self.panel.chosen_policy
 
     def watch(self, policy: TensorDictModuleBase, env: GraspEnv) -> TensorDictModuleBase:
         """The policy, which shows what it sees and plans at each step, and then the closing and the lifting.

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from torchgrasp.evaluation.success import SuccessTable
+from torchgrasp.names import printable
 
 if TYPE_CHECKING:
     import viser
@@ -35,10 +36,13 @@ class ViewerPanel:
         # Sharing would send the page through a server of other people.
         gui.configure_theme(show_logo=False, show_share_button=False)
         gui.set_panel_label("torchgrasp")
+        # Names of objects and policies come from outside: text fields show them as they are, Markdown would
+        # make elements of the page of them.
+        self.target = gui.add_text("Object", "", disabled=True)
         self.state = gui.add_markdown("Preparing the objects, then the first episode.")
         gui.add_markdown("Time left")
         self.time_left = gui.add_progress_bar(100.0)
-        self.success = gui.add_markdown("No episode is over yet.")
+        self.success = gui.add_text("Success", "No episode is over yet.", multiline=True, disabled=True)
         self.policy = gui.add_dropdown("Policy", list(policies), hint="plays from the next episode on")
         self.speed = gui.add_slider("Speed", SLOWEST, FASTEST, 0.1, speed, hint="times real time")
         self.pause = gui.add_checkbox("Pause", False)
@@ -47,6 +51,16 @@ class ViewerPanel:
         self._skip = threading.Event()
         self.next.on_click(lambda _: self.skip())
         self._shown = time.monotonic()
+
+    @property
+    def chosen_policy(self) -> str:
+        """The policy that the page has chosen; the first where a page asks for one that there is not."""
+        return self.policy.value if self.policy.value in self.policy.options else self.policy.options[0]
+
+    @property
+    def _pace(self) -> float:
+        """Times real time; a page may send any number."""
+        return min(max(SLOWEST, self.speed.value), FASTEST)
 
     def skip(self) -> None:
         """Ask for the next episode, from any thread, as the page's button does."""
@@ -59,7 +73,7 @@ class ViewerPanel:
             Skipped: where the next episode is asked for.
         """
         while not self._skip.is_set():
-            rest = seconds / self.speed.value - (time.monotonic() - self._shown)
+            rest = seconds / self._pace - (time.monotonic() - self._shown)
             if rest <= 0 and not self.pause.value:
                 self._shown = time.monotonic()
                 return
@@ -68,15 +82,15 @@ class ViewerPanel:
         self._shown = time.monotonic()
         raise Skipped
 
-    def tell_state(self, title: str, text: str, time_left: float) -> None:
-        """Say what is shown; `time_left` is the share of the episode's steps."""
-        self.state.content = f"**{title}**\n\n{text}"
+    def tell_state(self, target: str, text: str, time_left: float) -> None:
+        """Say which object is shown, and what happens; `time_left` is the share of the episode's steps."""
+        self.target.value, self.state.content = printable(target), text
         self.time_left.value = 100.0 * time_left
 
     def tell_success(self, policy: str, table: SuccessTable) -> None:
         """Say how often the policy lifted."""
         low, high = table.confidence_interval()
-        self.success.content = (
-            f"**{policy}**: lifted {table.successes} of {table.episodes}, {table.success_rate:.0%} "
+        self.success.value = printable(
+            f"{policy}: lifted {table.successes} of {table.episodes}, {table.success_rate:.0%} "
             f"(95 %: {low:.0%} to {high:.0%})"
         )

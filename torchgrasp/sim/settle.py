@@ -10,6 +10,7 @@ import sapien
 from sapien import physx
 
 from torchgrasp.errors import ObjectError
+from torchgrasp.names import file_stem, to_path
 from torchgrasp.objects.cache import cache_key, cached, default_cache_dir, write_whole
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.parallel import run_each
@@ -101,10 +102,10 @@ def _prepare_one(objects: ObjectSet, physics: Physics, cache_dir: str | Path | N
 
 
 def _path(target: GraspObject, physics: Physics, cache_dir: str | Path | None) -> Path:
-    folder = default_cache_dir().parent / "resting" if cache_dir is None else Path(cache_dir).expanduser()
+    folder = default_cache_dir().parent / "resting" if cache_dir is None else to_path("cache_dir", cache_dir)
     values = (physics.mass, physics.friction, physics.linear_damping, physics.angular_damping)
     key = cache_key("settled", _VERSION, target.content_hash, tuple(map(float, values)))
-    return folder / f"{Path(target.name).name}-{key}.npy"
+    return folder / f"{file_stem(target.name)}-{key}.npy"
 
 
 def _load(path: Path) -> np.ndarray:
