@@ -121,10 +121,10 @@ def test_nothing_is_loaded_from_elsewhere(tmp_path):
 
 def test_text_of_the_run_is_not_markup(tmp_path):
     summary = {**make_summary(), "policy": "<script>alert(1)</script>"}
-    options = {"objects": {"path": "a<b>&c", "empty": {}}, "transforms": [1, 2]}
+    options = {"objects": {"path": "a<b>&c\u202e\x1b\udce9", "empty": {}}, "transforms": [1, 2]}
     page = read(write_report(tmp_path, summary, title="<b>", config=options))
     assert "script" not in page.tags and "b" not in page.tags
-    assert ["objects.path", "a<b>&c"] in page.rows and ["objects.empty", "{}"] in page.rows
+    assert ["objects.path", "a<b>&c\\u202e\\x1b\\udce9"] in page.rows and ["objects.empty", "{}"] in page.rows
 
 
 def test_without_matplotlib_tables_remain_and_a_line_says_why(tmp_path, monkeypatch):
@@ -165,6 +165,15 @@ def test_a_curve_is_shaded_only_where_there_is_a_spread():
     (shade,) = axes.collections
     low, high = shade.get_paths()[0].get_extents().intervaly
     assert (low, high) == pytest.approx((0.1, 1.0))
+
+
+def test_labels_are_no_formulas():
+    curve = LearningCurve(np.arange(2.0), np.arange(2.0), np.full(2, np.nan), 1)
+    labels = ("$\\nosuch$", "costs $5", "a\x1b[2Jb")
+    figure = plot_curves(dict.fromkeys(labels, curve), x="$\\x$", y="$y_{")
+    shown = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]  # pyright: ignore
+    assert shown == [r"\$\nosuch\$", r"costs \$5", r"a\x1b[2Jb"]
+    assert to_svg(figure).startswith("<svg")
 
 
 def test_a_figure_is_the_same_every_time():

@@ -73,7 +73,5 @@ def _give(joined: DictConfig, given: Override, whose: str) -> None:
         return
     if OmegaConf.select(joined, name.rpartition(".")[0]) is None:
         there = ", ".join(joined[part] or ("nothing",))
-        raise ConfigError(
-            f"{words([given])} finds nothing to change: {whose} brings {there} as its {part}."
-        )
+        raise ConfigError(f"{words([given])} finds nothing to change: {whose} brings {there} as its {part}.")
     OmegaConf.update(joined, name, given.value(), force_add=True)

@@ -8,6 +8,8 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from torchgrasp.names import printable
+
 
 def render_page(template: str, **values: Any) -> str:
     """The HTML document that `templates/<template>.html.j2` makes of `values`."""
@@ -19,6 +21,8 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("torchgrasp.report"),
         autoescape=True,
+        # Marks that turn the direction of writing hide what a name is, escaped or not.
+        finalize=lambda value: printable(value) if type(value) is str else value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

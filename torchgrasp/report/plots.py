@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.learning_curves import LearningCurve
 from torchgrasp.geometry import gripper_control_points
+from torchgrasp.names import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -49,13 +50,13 @@ def plot_curves(
     for number, (label, curve) in enumerate(curves.items()):
         colour = _COLOURS[number % len(_COLOURS)]
         dot = "o" if len(curve.x) == 1 else None
-        words = f"{label} ({curve.runs} runs)" if curve.runs > 1 else label
+        words = _as_text(f"{label} ({curve.runs} runs)" if curve.runs > 1 else label)
         axes.plot(curve.x, curve.mean, color=colour, label=words, linewidth=1.4, marker=dot)
         if curve.runs > 1:
             low, high = curve.mean - curve.std, curve.mean + curve.std
             axes.fill_between(curve.x, low, high, color=colour, alpha=0.2, linewidth=0)
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
+    axes.set_xlabel(_as_text(x))
+    axes.set_ylabel(_as_text(y))
     if y.endswith("success_rate"):
         axes.set_ylim(-0.02, 1.02)
     axes.grid(alpha=0.3)
@@ -63,6 +64,11 @@ def plot_curves(
     if len(curves) > 1 or any(curve.runs > 1 for curve in curves.values()):
         axes.legend(frameon=False)
     return figure
+
+
+def _as_text(words: str) -> str:
+    """Words as matplotlib shows them letter by letter: between dollars it would read a formula."""
+    return printable(words).replace("$", r"\$")
 
 
 def plot_grasps(
