@@ -135,3 +135,17 @@ def test_objects_that_cannot_be_had_are_named(composed, tmp_path):
     (tmp_path / "broken.obj").write_bytes(b"\x00\x01 this is no mesh")
     with pytest.raises(ObjectError, match=r"broken\.obj"):
         prepare_objects(composed(*folder, f"objects.path={tmp_path}"))
+
+
+def test_a_folder_takes_names_and_may_leave_out_what_cannot_be_used(composed, tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHGRASP_CACHE", str(tmp_path / "cache"))
+    trimesh.creation.box((0.04, 0.05, 0.12)).export(tmp_path / "box.obj")
+    for name in ("bad", "other"):
+        (tmp_path / f"{name}.obj").write_text("")
+    given = ["objects=folder", f"objects.path={tmp_path}", "objects.num_grasps=100", "objects.min_grasps=90"]
+    cfg = composed("policy=random", *given, "objects.include=[bad,box]", recipe="evaluate")
+    objects = make_objects(cfg, "test")
+    assert objects.names == ("bad", "box") and objects.min_grasps == 90  # pyright: ignore
+    cfg = composed("policy=random", *given, "objects.on_error=skip", recipe="evaluate")
+    with pytest.warns(UserWarning, match=r"Skipped: .*bad\.obj"):
+        assert make_objects(cfg, "test").names == ("box",)
