@@ -31,6 +31,7 @@ def write_run(folder: Path, seed: int, successes: int, *, config: Any = None, **
     parts = {name: {**values, **(config or {}).get(name, {})} for name, values in CONFIG.items()}
     (folder / "config.yaml").write_text(yaml.safe_dump({"seed": seed, **parts}))
     counts = {"wall_seconds": 600.0, "env_steps": 33600, "gradient_steps": 5000}
+    counts |= {"versions": {}, "hardware": {}}
     (folder / "summary.json").write_text(json.dumps({**success_table(successes), **counts, **summary}))
     return folder
 

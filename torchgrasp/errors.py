@@ -10,7 +10,13 @@ from numbers import Integral, Real
 
 
 class TorchgraspError(Exception):
-    """Base class: a user can mend what any of these says, so recipes print them without a traceback."""
+    """Base class: a user can mend what any of these says, so recipes print them without a traceback.
+
+    As text, control characters of names that came from a file are escaped.
+    """
+
+    def __str__(self) -> str:
+        return printable(super().__str__(), keep="\n")
 
 
 class ConfigError(TorchgraspError, ValueError):
@@ -31,6 +37,19 @@ class DamageError(CheckpointError):
 
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
+
+
+def printable(text: object, *, keep: str = "") -> str:
+    r"""The text of a value, all that would move a cursor or hide words escaped, except characters of `keep`.
+
+    >>> print(printable("mug\x1b[31m"))
+    mug\x1b[31m
+    """
+    return "".join(each if each.isprintable() or each in keep else _escape(each) for each in str(text))
+
+
+def _escape(character: str) -> str:
+    return character.encode("unicode_escape").decode()
 
 
 def check_whole(name: str, value: int, low: int, high: int = 2**63 - 1) -> None:

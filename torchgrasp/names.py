@@ -9,21 +9,10 @@ import sys
 import unicodedata
 from pathlib import Path
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, printable
 
-# Control characters, marks that turn the direction of writing, ends of lines, and halves of characters.
-_UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 # File systems take 255 bytes a name; a key and a suffix come behind.
 _STEM = 60
-
-
-def printable(text: object) -> str:
-    r"""The text of a value, with all that would move a cursor or hide words written out.
-
-    >>> printable("mug\x1b[31m")
-    'mug\\x1b[31m'
-    """
-    return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), str(text))
 
 
 def one_line(text: object) -> str:

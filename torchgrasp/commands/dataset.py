@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, printable
 
 HELP = "check a folder of demonstrations and print its card; export it to Minari, or import it from there"
 
@@ -51,15 +51,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def print_card(card: dict[str, Any]) -> None:
-    """The card in lines, objects in a table."""
+    """The card in lines, objects in a table; what its names hide from the eye is escaped."""
     plain = {name: value for name, value in card.items() if not isinstance(value, dict | list)}
     plain["seeds"] = ", ".join(map(str, card["seeds"]))
     plain["versions"] = ", ".join(f"{name} {'/'.join(each)}" for name, each in card["versions"].items())
     plain["provenance"] = ", ".join(card["provenance"]) or "not told"
     for name, value in plain.items():
-        print(f"{name:18} {value}")
-    width = max((len(name) for name in card["objects"]), default=0)
+        print(f"{name:18} {printable(value)}")
+    objects = {printable(name): counts for name, counts in card["objects"].items()}
+    width = max(map(len, objects), default=0)
     print(f"\n{'object':{width}}  episodes  successful")
-    for name, counts in card["objects"].items():
+    for name, counts in objects.items():
         print(f"{name:{width}}  {counts['episodes']:8}  {counts['successes']:10}")
     print("\nAll files are as they were written.")

@@ -6,8 +6,8 @@ import argparse
 import json
 from dataclasses import dataclass
 
-from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.names import one_line, printable
+from torchgrasp.errors import ConfigError, ObjectError, printable
+from torchgrasp.names import one_line
 from torchgrasp.objects import (
     AcronymObjects,
     FolderObjects,
@@ -18,7 +18,7 @@ from torchgrasp.objects import (
     YcbObjects,
 )
 from torchgrasp.objects.build import BUILD_VERSION, MIN_CLEAR_GRASPS
-from torchgrasp.objects.packaged import INDEX_DIR
+from torchgrasp.objects.packaged import INDEX_DIR, ObjectIndex
 from torchgrasp.sim import Physics, prepare_resting, settled_poses
 from torchgrasp.sim.reach import clear_grasps
 
@@ -128,5 +128,5 @@ def write_index(kind: str, rows: list[Row]) -> None:
     """Store which objects of a package can be grasped, beside the code that reads it."""
     objects = {row.name: row.reason for row in rows}
     INDEX_DIR.mkdir(exist_ok=True)
-    text = json.dumps({"build_version": BUILD_VERSION, "objects": objects}, indent=0)
-    (INDEX_DIR / f"{kind}.json").write_text(text + "\n")
+    index = ObjectIndex(build_version=BUILD_VERSION, objects=objects)
+    (INDEX_DIR / f"{kind}.json").write_text(json.dumps(index.model_dump(), indent=0) + "\n")

@@ -4,17 +4,65 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator
 
 from torchgrasp.data.demonstration_kinds import check_kind
 from torchgrasp.data.files import read_sealed_json, seal_json, write_text_atomically
-from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.documents import Amount, Count, Document, Name, Plain, Rate, Whole, check_document, shorten
+from torchgrasp.errors import CheckpointError, ConfigError, DamageError
 
 FORMAT = 2
 _CARD = "card.json"
-# What is counted in rows, and added up over shards.
-COUNTS = ("rows", "steps", "successful_steps", "failed_steps", "perturbed_steps", "labelled_steps")
-_SUMS = ("attempts", *COUNTS)
+_REMEDY = "restore it from a copy, or collect into another folder"
+
+
+class ObjectCounts(Document):
+    """Of one object."""
+
+    episodes: Count
+    successes: Count
+
+
+class Outline(Document):
+    """What a card begins with."""
+
+    format: Literal[2]
+    kind: Annotated[str, AfterValidator(check_kind)]
+    shards: Count
+    episodes: Count
+    successes: Count
+    success_rate: Rate
+
+
+class Sums(Document):
+    """What is added up over shards: attempts, and what is counted in rows."""
+
+    attempts: Count
+    rows: Count
+    steps: Count
+    successful_steps: Count
+    failed_steps: Count
+    perturbed_steps: Count
+    labelled_steps: Count
+
+
+class Card(Sums, Outline):
+    """card.json: its outline, sums, and then these."""
+
+    bytes: Count
+    bytes_per_step: Amount
+    wall_seconds: Amount
+    objects: dict[Name, ObjectCounts]
+    seeds: list[Whole]
+    versions: dict[Name, list[Name]]
+    provenance: Plain
+
+
+_SUMS = tuple(Sums.model_fields)
+# What is counted in rows.
+COUNTS = _SUMS[1:]
 
 
 def begin_demonstrations(
@@ -89,21 +137,22 @@ def read_card(path: Path) -> dict[str, Any]:
     # Format 1 kept its origin in a file of its own, and no checksums.
     if (path / "origin.json").exists():
         check_format(path, 1)
-    card = read_sealed_json(file, "restore it from a copy, or collect into another folder")
+    card = read_sealed_json(file, _REMEDY)
     check_format(file, card.get("format"))
-    return card
+    return check_document(card, Card, file, _REMEDY, error=DamageError).model_dump()
 
 
-def check_format(path: Path, number: int | None) -> None:
+def check_format(path: Path, number: object) -> None:
     """Raise CheckpointError unless demonstrations of format `number`, as those at `path`, are read here."""
     if number != FORMAT:
         raise CheckpointError(
-            f"{path} holds demonstrations of format {number}, this torchgrasp reads format {FORMAT}: collect "
-            "them again into another folder, or read them with a torchgrasp of their format."
+            f"{path} holds demonstrations of format {shorten(number)}, this torchgrasp reads format "
+            f"{FORMAT}: collect them again into another folder, or read them with a torchgrasp of their format."
         )
 
 
 def write_card(path: Path, card: Mapping[str, Any]) -> dict[str, Any]:
     """Replace card.json in the folder `path`; returns the card."""
-    write_text_atomically(path / _CARD, seal_json(card))
-    return dict(card)
+    whole = check_document(card, Card, path / _CARD, "give names and a provenance of plain values")
+    write_text_atomically(path / _CARD, seal_json(whole.model_dump()))
+    return whole.model_dump()

@@ -25,11 +25,11 @@ from torchrl.envs.transforms import Compose, Transform
 
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.demonstration_card import add_to_card, empty_card, read_card, write_card
-from torchgrasp.data.files import reading
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage
 from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard, shard_name
 from torchgrasp.data.storage import keep_batch
+from torchgrasp.documents import reading
 from torchgrasp.errors import CheckpointError, ConfigError, DamageError
 
 

@@ -5,16 +5,27 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import stat
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torchgrasp.errors import CheckpointError, DamageError
+from torchgrasp.documents import Count, Crc32, Document, parse_json, read_text, reading, shorten
+from torchgrasp.errors import DamageError
 
 # Ends the text of a sealed JSON file; its own checksum follows.
 _SEAL = ',\n  "crc32": '
+# Ends other sealed text, as a comment of YAML.
+_COMMENT = "# crc32 "
+
+
+class FileRecord(Document):
+    """What a file's bytes are known by."""
+
+    bytes: Count
+    crc32: Crc32
 
 
 def write_text_atomically(path: str | Path, text: str) -> None:
@@ -41,38 +52,35 @@ def seal_json(value: Mapping[str, Any]) -> str:
 
 def read_sealed_json(path: str | Path, remedy: str) -> dict[str, Any]:
     """Read what `seal_json` gave, without `crc32`; DamageError names a missing or changed file."""
-    try:
-        body, _, tail = _read_bytes(Path(path), remedy).decode().rpartition(_SEAL)
-        if tail != f"{zlib.crc32(body.encode())}\n}}\n":
-            raise ValueError("its checksum differs")
-        return json.loads(body + "\n}")
-    except ValueError as error:
-        raise DamageError(
-            f"{path} was changed or cut short after it was saved ({error}): {remedy}."
-        ) from error
+    body, _, tail = read_text(path, remedy, error=DamageError).rpartition(_SEAL)
+    if tail != f"{zlib.crc32(body.encode())}\n}}\n":
+        raise _changed(path, remedy)
+    value = parse_json(body + "\n}", path, remedy, error=DamageError)
+    if not isinstance(value, dict):
+        raise DamageError(f"{path} holds {shorten(value)} instead of entries: {remedy}.")
+    return value
 
 
-def _read_bytes(path: Path, remedy: str) -> bytes:
-    with reading(path, remedy):
-        return path.read_bytes()
+def seal_text(text: str) -> str:
+    """`text`, such as YAML, with a last line that is a comment and guards every byte before it."""
+    text = text if text.endswith("\n") else text + "\n"
+    return f"{text}{_COMMENT}{zlib.crc32(text.encode())}\n"
 
 
-@contextmanager
-def reading(path: Path, remedy: str) -> Iterator[None]:
-    """Tell what is missing from what only cannot be read now: rights, open files, a disk's fault."""
-    try:
-        yield
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        raise DamageError(f"{path} is missing: {remedy}.") from error
-    except OSError as error:
-        raise CheckpointError(
-            f"{path} cannot be read ({error.strerror}), which does not mean that it is damaged: mend that, "
-            "then try again."
-        ) from error
+def read_sealed_text(path: str | Path, remedy: str) -> str:
+    """Read what `seal_text` gave, without its last line; DamageError names a missing or changed file."""
+    text, _, tail = read_text(path, remedy, error=DamageError).rpartition(_COMMENT)
+    if tail != f"{zlib.crc32(text.encode())}\n":
+        raise _changed(path, remedy)
+    return text
+
+
+def _changed(path: str | Path, remedy: str) -> DamageError:
+    return DamageError(f"{path} was changed or cut short after it was saved (checksum differs): {remedy}.")
 
 
 def describe_file(file: Path) -> dict[str, int]:
-    """Size in bytes and CRC-32 of a file, which is read in pieces."""
+    """Size in bytes and CRC-32 of a file, which is read in pieces: a `FileRecord` as plain values."""
     checksum = 0
     with file.open("rb") as stream:
         while block := stream.read(1 << 22):
@@ -80,13 +88,17 @@ def describe_file(file: Path) -> dict[str, int]:
     return {"bytes": file.stat().st_size, "crc32": checksum}
 
 
-def check_file(file: Path, expected: Mapping[str, int], remedy: str, *, checksum: bool = True) -> None:
+def check_file(file: Path, expected: FileRecord, remedy: str, *, checksum: bool = True) -> None:
     """Raise DamageError unless `file` is as `describe_file` told; without `checksum`, of that size."""
     with reading(file, remedy):
-        size = file.stat().st_size
-        same = size == expected["bytes"] and (not checksum or describe_file(file) == dict(expected))
-    if size != expected["bytes"]:
-        raise DamageError(f"{file} has {size} bytes instead of {expected['bytes']}: {remedy}.")
+        status = file.stat()
+        size, regular = status.st_size, stat.S_ISREG(status.st_mode)
+        same = regular and size == expected.bytes
+        same = same and (not checksum or describe_file(file) == expected.model_dump())
+    if not regular:
+        raise DamageError(f"{file} is no regular file: {remedy}.")
+    if size != expected.bytes:
+        raise DamageError(f"{file} has {size} bytes instead of {expected.bytes}: {remedy}.")
     if not same:
         raise DamageError(f"{file} was changed after it was saved (its checksum differs): {remedy}.")
 

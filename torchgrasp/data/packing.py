@@ -5,16 +5,44 @@ from __future__ import annotations
 import base64
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from pydantic import Field, ValidationError
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from torchgrasp.documents import Count, Document, Name, shorten
 from torchgrasp.errors import CheckpointError
 
 _TAG = "$"
+
+
+class _Stored(Document):
+    name: str
+
+
+class _Shaped(Document):
+    shape: list[Count]
+    items: Any
+
+
+class _Scalar(Document):
+    dtype: Name
+    value: bool | int | float
+
+
+class _Word(Document):
+    value: str
+
+
+class _Items(Document):
+    items: list[Any]
+
+
+class _Pairs(Document):
+    items: list[Annotated[list[Any], Field(min_length=2, max_length=2)]]
 
 
 def pack_tree(tree: Any) -> tuple[Any, dict[str, Tensor]]:
@@ -34,25 +62,25 @@ def _pack(value: Any, path: tuple[str, ...], tensors: dict[str, Tensor]) -> Any:
     if value is None or type(value) in (bool, int, float, str):
         return value
     if isinstance(value, Tensor):
-        return {_TAG: "tensor", "name": _store(value.detach(), path, tensors)}
+        return _make_node("tensor", name=_store(value.detach(), path, tensors))
     if isinstance(value, TensorDictBase):
         items = dict(value.items())
-        return {_TAG: "tensordict", "shape": list(value.shape), "items": _pack(items, path, tensors)}
+        return _make_node("tensordict", shape=list(value.shape), items=_pack(items, path, tensors))
     if isinstance(value, np.ndarray):
-        return {_TAG: "ndarray", "name": _store(_from_numpy(value), path, tensors)}
-    if isinstance(value, np.generic):
-        return {_TAG: "scalar", "dtype": value.dtype.name, "value": value.item()}
+        return _make_node("ndarray", name=_store(_from_numpy(value), path, tensors))
+    if isinstance(value, np.generic) and value.dtype.kind in "biuf":
+        return _make_node("scalar", dtype=value.dtype.name, value=value.item())
     if isinstance(value, bytes):
-        return {_TAG: "bytes", "value": base64.b64encode(value).decode()}
+        return _make_node("bytes", value=base64.b64encode(value).decode())
     if isinstance(value, (torch.device, torch.dtype)):
-        return {_TAG: type(value).__name__, "value": str(value).removeprefix("torch.")}
+        return _make_node(type(value).__name__, value=str(value).removeprefix("torch."))
     if isinstance(value, Mapping):
         return _pack_mapping(value, path, tensors)
     if isinstance(value, (list, tuple)):
         items = [_pack(item, (*path, str(i)), tensors) for i, item in enumerate(value)]
         tag = {list: None, tuple: "tuple", torch.Size: "size"}.get(type(value), "unknown")
         if tag != "unknown":
-            return items if tag is None else {_TAG: tag, "items": items}
+            return items if tag is None else _make_node(tag, items=items)
     raise CheckpointError(
         f"{'.'.join(path) or 'the state'} is a {type(value).__name__}, which is not saved without "
         "pickle: turn it into tensors, numbers, strings, lists or dicts in its state_dict."
@@ -66,7 +94,13 @@ def _pack_mapping(value: Mapping, path: tuple[str, ...], tensors: dict[str, Tens
         [_pack(key, (*path, "key"), tensors), _pack(item, (*path, str(key)), tensors)]
         for key, item in value.items()
     ]
-    return {_TAG: "ordered" if isinstance(value, OrderedDict) else "dict", "items": pairs}
+    return _make_node("ordered" if isinstance(value, OrderedDict) else "dict", items=pairs)
+
+
+def _make_node(kind: str, **fields: Any) -> dict[str, Any]:
+    """A value that JSON has no word for, as it is written: its kind under `$` beside what it takes."""
+    _KINDS[kind][0].model_validate(fields)
+    return {_TAG: kind, **fields}
 
 
 def _store(value: Tensor, path: tuple[str, ...], tensors: dict[str, Tensor]) -> str:
@@ -87,31 +121,80 @@ def _from_numpy(value: np.ndarray) -> Tensor:
         raise CheckpointError(f"A numpy array of {value.dtype} is not saved: {error}") from error
 
 
-def unpack_tree(value: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """Undo `pack_tree`."""
+def unpack_tree(tree: Any, tensors: Mapping[str, Tensor]) -> Any:
+    """Undo `pack_tree`; ValueError where `tree` is none of its making, or `tensors` are others."""
+    left = dict(tensors)
+    value = _unpack(tree, left)
+    if left:
+        raise ValueError(f"nothing refers to its tensor {shorten(min(left))}")
+    return value
+
+
+def _unpack(value: Any, left: dict[str, Tensor]) -> Any:
     if isinstance(value, list):
-        return [unpack_tree(item, tensors) for item in value]
+        return [_unpack(item, left) for item in value]
     if not isinstance(value, dict):
         return value
     if _TAG not in value:
-        return {key: unpack_tree(item, tensors) for key, item in value.items()}
-    return _UNPACKERS[value[_TAG]](value, tensors)
+        return {key: _unpack(item, left) for key, item in value.items()}
+    fields = dict(value)
+    kind = fields.pop(_TAG)
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise ValueError(f"{shorten(kind)} is no kind of value")
+    schema, unpack = _KINDS[kind]
+    try:
+        return unpack(schema.model_validate(fields), left)
+    except ValidationError as error:
+        raise ValueError(f"a {kind} cannot be {shorten(fields)}") from error
+    except (TypeError, RuntimeError, OverflowError) as error:
+        raise ValueError(f"a {kind} cannot be {shorten(fields)} ({error})") from error
 
 
-def _unpack_pairs(value: dict, tensors: Mapping[str, Tensor]) -> list[tuple]:
-    return [(unpack_tree(key, tensors), unpack_tree(item, tensors)) for key, item in value["items"]]
+def _take(node: _Stored, left: dict[str, Tensor]) -> Tensor:
+    if node.name not in left:
+        raise ValueError(f"it has no tensor {shorten(node.name)}, or refers to it twice")
+    return left.pop(node.name)
 
 
-_UNPACKERS: dict[str, Callable[[dict, Mapping[str, Tensor]], Any]] = {
-    "tensor": lambda v, t: t[v["name"]],
-    "ndarray": lambda v, t: t[v["name"]].numpy(),
-    "tensordict": lambda v, t: TensorDict(unpack_tree(v["items"], t), v["shape"]),
-    "scalar": lambda v, t: np.dtype(v["dtype"]).type(v["value"]),
-    "bytes": lambda v, t: base64.b64decode(v["value"]),
-    "device": lambda v, t: torch.device(v["value"]),
-    "dtype": lambda v, t: getattr(torch, v["value"]),
-    "tuple": lambda v, t: tuple(unpack_tree(v["items"], t)),
-    "size": lambda v, t: torch.Size(v["items"]),
-    "dict": lambda v, t: dict(_unpack_pairs(v, t)),
-    "ordered": lambda v, t: OrderedDict(_unpack_pairs(v, t)),
+def _unpack_scalar(node: _Scalar) -> np.generic:
+    dtype = np.dtype(node.dtype)
+    if dtype.kind not in "biuf":
+        raise TypeError("no number")
+    number = dtype.type(node.value)
+    if number.item() != node.value and node.value == node.value:
+        raise TypeError("no such number")
+    return number
+
+
+def _unpack_tensordict(node: _Shaped, left: dict[str, Tensor]) -> TensorDict:
+    items = _unpack(node.items, left)
+    if not isinstance(items, dict):
+        raise TypeError("no items")
+    return TensorDict(items, node.shape)
+
+
+def _unpack_dtype(node: _Word) -> torch.dtype:
+    dtype = getattr(torch, node.value, None)
+    if not isinstance(dtype, torch.dtype):
+        raise TypeError("no dtype")
+    return dtype
+
+
+def _unpack_pairs(node: _Pairs, left: dict[str, Tensor]) -> list[tuple]:
+    return [(_unpack(key, left), _unpack(item, left)) for key, item in node.items]
+
+
+# What a kind of value takes, and how it is made of that.
+_KINDS: dict[str, tuple[type[Document], Callable[[Any, dict[str, Tensor]], Any]]] = {
+    "tensor": (_Stored, _take),
+    "ndarray": (_Stored, lambda node, left: _take(node, left).numpy()),
+    "tensordict": (_Shaped, _unpack_tensordict),
+    "scalar": (_Scalar, lambda node, _: _unpack_scalar(node)),
+    "bytes": (_Word, lambda node, _: base64.b64decode(node.value, validate=True)),
+    "device": (_Word, lambda node, _: torch.device(node.value)),
+    "dtype": (_Word, lambda node, _: _unpack_dtype(node)),
+    "tuple": (_Items, lambda node, left: tuple(_unpack(node.items, left))),
+    "size": (_Items, lambda node, _: torch.Size(node.items)),
+    "dict": (_Pairs, lambda node, left: dict(_unpack_pairs(node, left))),
+    "ordered": (_Pairs, lambda node, left: OrderedDict(_unpack_pairs(node, left))),
 }

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from pydantic import Field, model_validator
+from tensordict import TensorDictBase
 
 import torchgrasp
 from torchgrasp import keys
@@ -17,30 +17,58 @@ from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.demonstration_card import (
     COUNTS,
     FORMAT,
+    Sums,
     add_to_card,
     begin_demonstrations,
     check_format,
     read_card,
     write_card,
 )
-from torchgrasp.data.files import check_file, describe_file, read_sealed_json, replace_folder, seal_json
+from torchgrasp.data.files import (
+    FileRecord,
+    check_file,
+    describe_file,
+    read_sealed_json,
+    replace_folder,
+    seal_json,
+)
+from torchgrasp.data.mapped_rows import check_columns, map_rows
 from torchgrasp.data.sampler import STUB
-from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.documents import Amount, Count, Document, InnerPath, Name, Whole, check_document, reading
+from torchgrasp.errors import CheckpointError, ConfigError, DamageError, printable
 
 _SHARD, _ROWS = "shard.json", "rows"
 
 
-@dataclass(frozen=True)
-class EpisodeRecord:
+class EpisodeRecord(Document):
     """One episode: what was grasped, the seed it was collected from, its rows and its outcome.
 
     `rows` is the number of its steps, and one more if the episode was truncated: its last observation.
     """
 
-    object: str
-    seed: int
-    rows: int
+    object: Name
+    seed: Whole
+    rows: Annotated[Count, Field(ge=1)]
     success: bool
+
+
+class Shard(Document):
+    """shard.json: the episodes in the order of their rows, and the files beside it."""
+
+    format: Literal[2]
+    episodes: list[EpisodeRecord]
+    sums: Sums
+    wall_seconds: Amount
+    files: dict[InnerPath, FileRecord]
+    versions: dict[Name, Name]
+
+    @model_validator(mode="after")
+    def _check_sums(self) -> Shard:
+        if sum(record.rows for record in self.episodes) != self.sums.rows:
+            raise ValueError("the sum of the episodes' rows")
+        if self.sums.attempts < len(self.episodes):
+            raise ValueError("at least as many attempts as episodes")
+        return self
 
 
 def append_shard(
@@ -105,7 +133,12 @@ def append_rows(
         )
     card = _current_card(path, folders)
     records = [
-        EpisodeRecord(name, int(seed), len(rows), bool(rows[keys.EPISODE_SUCCESS][-1]))
+        {
+            "object": printable(name),
+            "seed": int(seed),
+            "rows": len(rows),
+            "success": bool(rows[keys.EPISODE_SUCCESS][-1]),
+        }
         for rows, name, seed in zip(episodes, objects, seeds, strict=True)
     ]
     with replace_folder(path / shard_name(index)) as folder:
@@ -113,13 +146,14 @@ def append_rows(
         files = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
         shard = {
             "format": FORMAT,
-            "episodes": [asdict(record) for record in records],
+            "episodes": records,
             "sums": sums,
             "wall_seconds": round(wall_seconds, 3),
             "files": {name: describe_file(file) for name, file in files.items()},
             "versions": _versions(),
         }
-        (folder / _SHARD).write_text(seal_json(shard))
+        whole = check_document(shard, Shard, path / shard_name(index), "give other objects, seeds or times")
+        (folder / _SHARD).write_text(seal_json(whole.model_dump()))
     return write_card(path, add_to_card(card, shard))
 
 
@@ -129,6 +163,11 @@ def _write_rows(folder: Path, episodes: Sequence[TensorDictBase]) -> dict[str, i
         return dict.fromkeys(COUNTS, 0)
     rows = torch.cat(list(episodes)).exclude(keys.SOURCE)  # pyright: ignore
     rows.memmap(str(folder / _ROWS))
+    return _count_rows(rows)
+
+
+def _count_rows(rows: TensorDictBase) -> dict[str, int]:
+    """What a shard's sums tell of its rows (R)."""
     step = ~rows[STUB]
     flags = (keys.EPISODE_SUCCESS, keys.PERTURBED, keys.HAS_EXPERT)
     success, perturbed, labelled = (int((rows[key] & step).sum()) for key in flags)
@@ -185,26 +224,46 @@ def find_shards(path: Path) -> list[Path]:
 def read_shard(folder: Path, *, verify: bool) -> dict[str, Any]:
     """What shard.json says of the shard in `folder`, once its files are as it says.
 
-    With `verify` every byte is read; without it, sizes are compared.
+    With `verify` every byte is read, and what is told of the rows is compared with them; without it, sizes
+    are compared.
     """
     remedy = _describe_remedy(folder.parent)
-    shard = read_sealed_json(folder / _SHARD, remedy)
-    check_format(folder, shard.get("format"))
-    for name, expected in shard["files"].items():
+    told = read_sealed_json(folder / _SHARD, remedy)
+    check_format(folder, told.get("format"))
+    shard = check_document(told, Shard, folder / _SHARD, remedy, error=DamageError)
+    for name, expected in shard.files.items():
         check_file(folder / name, expected, remedy, checksum=verify)
-    return shard
+    _refuse_others(folder, shard, remedy)
+    rows = load_rows(folder)
+    if len(rows) != shard.sums.rows or (verify and not _tells_of(shard, rows)):
+        raise DamageError(f"{folder / _SHARD} tells of other rows than those in {_ROWS}: {remedy}.")
+    return shard.model_dump()
+
+
+def _refuse_others(folder: Path, shard: Shard, remedy: str) -> None:
+    """Refuse files among the rows that shard.json does not guard, but for those that systems hide."""
+    with reading(folder, remedy):
+        files = [each for each in (folder / _ROWS).rglob("*") if each.is_file() and each.name[0] != "."]
+    for file in files:
+        if str(file.relative_to(folder)) not in shard.files:
+            raise DamageError(f"{file} is no file of the shard that it lies in: {remedy}.")
+
+
+def _tells_of(shard: Shard, rows: TensorDictBase) -> bool:
+    if not shard.episodes:
+        return True
+    lasts = torch.tensor([record.rows for record in shard.episodes]).cumsum(0) - 1
+    successes = rows[keys.EPISODE_SUCCESS][lasts].flatten().tolist()
+    counts = {name: getattr(shard.sums, name) for name in COUNTS}
+    return successes == [record.success for record in shard.episodes] and counts == _count_rows(rows)
 
 
 def load_rows(folder: Path) -> TensorDictBase:
     """Rows (R) of the shard in `folder`, memory-mapped; without a key where there are none."""
-    if not (folder / _ROWS).exists():
-        return TensorDict({}, [0])
-    try:
-        return TensorDict.load_memmap(folder / _ROWS, allow_pickle=False)
-    except (OSError, ValueError, KeyError, RuntimeError, TypeError) as error:
-        raise CheckpointError(
-            f"{folder / _ROWS} cannot be read ({error}): restore it from a copy."
-        ) from error
+    remedy = _describe_remedy(folder.parent)
+    rows = map_rows(folder / _ROWS, remedy)
+    check_columns(rows, folder / _ROWS, remedy)
+    return rows
 
 
 def _versions() -> dict[str, str]:

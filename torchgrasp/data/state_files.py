@@ -11,6 +11,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from torchgrasp.data.packing import pack_tree, unpack_tree
+from torchgrasp.documents import parse_json, read_json, reading
 from torchgrasp.errors import CheckpointError
 
 _NAME = "state"
@@ -23,7 +24,10 @@ def write_state(folder: Path, name: str, state: Any) -> None:
     buffers and generators all qualify.
     """
     tree, tensors = pack_tree(state)
-    (folder / f"{name}.json").write_text(json.dumps(tree))
+    text = json.dumps(tree)
+    # What could not be read again must not take the place of what can.
+    parse_json(text, f"The state {name!r}", "keep long lists in tensors, and nest them less")
+    (folder / f"{name}.json").write_text(text)
     file = folder / f"{name}.safetensors"
     if tensors:
         save_file(_separate(tensors), file)
@@ -33,12 +37,16 @@ def write_state(folder: Path, name: str, state: Any) -> None:
 
 def read_state(folder: Path, name: str, remedy: str) -> Any:
     """Read what `write_state` wrote, tensors on the CPU; CheckpointError says what is wrong, and `remedy`."""
+    tree = read_json(folder / f"{name}.json", remedy)
     try:
-        tree = json.loads((folder / f"{name}.json").read_text())
-        file = folder / f"{name}.safetensors"
-        return unpack_tree(tree, load_file(file) if file.exists() else {})
-    except (ValueError, KeyError, OSError, RuntimeError, SafetensorError) as error:
-        raise CheckpointError(f"{folder / name} cannot be read ({error}): {remedy}.") from error
+        return unpack_tree(tree, _read_tensors(folder / f"{name}.safetensors", remedy))
+    except (ValueError, SafetensorError) as error:
+        raise CheckpointError(f"{folder / name} is damaged ({error}): {remedy}.") from error
+
+
+def _read_tensors(file: Path, remedy: str) -> dict[str, Tensor]:
+    with reading(file, remedy):
+        return load_file(file) if file.exists() else {}
 
 
 class _Stateful(Protocol):

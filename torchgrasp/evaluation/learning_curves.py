@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from torchgrasp.data.files import write_text_atomically
 from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.runs.metrics import read_cells
 
 Array = NDArray[np.float64]
 
@@ -48,12 +49,9 @@ def read_metrics(run_dir: str | Path) -> dict[str, Array]:
     path = Path(run_dir) / "metrics.csv"
     if not path.is_file():
         raise CheckpointError(f"There is no {path}: give the directory of a training run.")
-    with path.open(newline="") as stream:
-        lines = list(csv.reader(stream))
-    names, *rows = lines or [[]]
-    whole = [row for row in rows if len(row) == len(names)]
+    names, rows = read_cells(path)
     try:
-        table = np.array([[_read_cell(cell) for cell in row] for row in whole])
+        table = np.array([[_read_cell(cell) for cell in row] for row in rows])
     except ValueError as error:
         raise CheckpointError(f"{path} is damaged ({error}): restore it from a copy.") from error
     if not len(table):

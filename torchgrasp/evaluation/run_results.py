@@ -2,22 +2,53 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
+from pydantic import Field
 
-from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.documents import (
+    Count,
+    Name,
+    OpenDocument,
+    Rate,
+    Whole,
+    check_document,
+    read_document,
+    read_yaml,
+)
+from torchgrasp.errors import ConfigError
+from torchgrasp.runs.summary import ObjectRow, Summary
 
 # Of the environment and the objects, what does not change a scene: scenes come from the evaluation's worlds
 # and seed, the number of grasps is the expert's.
 _NOT_OF_SCENES = ("env.num_envs", "env.action_space", "objects.num_grasps")
 _OF_EVALUATION = ("seed", "episodes", "num_envs")
 _NO_TABLES = ("objects", "comparison", "versions", "hardware", "failures", "never_lifted", "demonstrations")
+_REMEDY = "restore it from a copy, or give other run directories of the recipes"
+
+
+class RunConfig(OpenDocument):
+    """What of a run's config.yaml is compared with other runs'; sections may be absent."""
+
+    __pydantic_extra__: dict[str, Any] = Field(init=False)
+    seed: Whole | None = None
+    evaluation: dict[str, Any] = {}
+    objects: dict[str, Any] = {}
+    env: dict[str, Any] = {}
+
+
+class _Objects(OpenDocument):
+    objects: dict[Name, ObjectRow] = {}
+
+
+class _Success(OpenDocument):
+    success_rate: Rate
+    episodes: Count
 
 
 @dataclass(frozen=True)
@@ -58,25 +89,20 @@ def read_result(run_dir: str | Path, *, key: str | None = None) -> RunResult:
         ConfigError: where there is no such table, or a number of it is not finite.
     """
     run_dir = Path(run_dir)
-    summary, config = _read(run_dir / "summary.json"), _read(run_dir / "config.yaml")
-    table = _choose(run_dir, summary, key)
-    try:
-        values, success = _measures(table)
-        result = RunResult(
-            run=run_dir,
-            seed=_seed(config),
-            values=values,
-            success=success,
-            scenes=read_scenes(config) | _episodes_by_object(table),
-            wall_minutes=summary["wall_seconds"] / 60,
-            env_steps=summary["env_steps"],
-            gradient_steps=summary["gradient_steps"],
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise CheckpointError(
-            f"{run_dir}/summary.json cannot be used ({reason}): give runs of the recipes."
-        ) from error
+    summary = read_document(run_dir / "summary.json", Summary, _REMEDY)
+    config = _read_config(run_dir / "config.yaml")
+    table = _choose(run_dir, summary.model_dump(), key)
+    values, success = _measures(table, run_dir)
+    result = RunResult(
+        run=run_dir,
+        seed=_seed(config),
+        values=values,
+        success=success,
+        scenes=read_scenes(config) | _episodes_by_object(table, run_dir),
+        wall_minutes=summary.wall_seconds / 60,
+        env_steps=summary.env_steps,
+        gradient_steps=summary.gradient_steps,
+    )
     _check_finite(result)
     return result
 
@@ -119,15 +145,8 @@ def check_same_scenes(results: Sequence[RunResult]) -> None:
             )
 
 
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        text = path.read_text()
-        read = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        raise CheckpointError(f"{path} cannot be read ({error}): restore it from a copy.") from error
-    if not isinstance(read, dict):
-        raise CheckpointError(f"{path} holds no mapping: give run directories of the recipes.")
-    return read
+def _read_config(path: Path) -> dict[str, Any]:
+    return check_document(read_yaml(path, _REMEDY), RunConfig, path, _REMEDY).model_dump(exclude_unset=True)
 
 
 def _choose(run_dir: Path, summary: dict[str, Any], key: str | None) -> Mapping[str, Any]:
@@ -135,7 +154,7 @@ def _choose(run_dir: Path, summary: dict[str, Any], key: str | None) -> Mapping[
         return summary
     tables = {name: each for name, each in summary.items() if isinstance(each, dict) and each}
     tables = {name: each for name, each in tables.items() if name not in _NO_TABLES}
-    tables |= summary.get("comparison", {})
+    tables |= summary["comparison"]
     if key not in tables:
         raise ConfigError(
             f"key={key}: {run_dir}/summary.json has no such table: choose from {', '.join(tables) or 'none'}."
@@ -143,13 +162,20 @@ def _choose(run_dir: Path, summary: dict[str, Any], key: str | None) -> Mapping[
     return tables[key]
 
 
-def _measures(table: Mapping[str, Any]) -> tuple[dict[str, float], tuple[int, int] | None]:
+def _measures(table: Mapping[str, Any], run_dir: Path) -> tuple[dict[str, float], tuple[int, int] | None]:
     if "success_rate" in table:
-        rate, episodes = float(table["success_rate"]), int(table["episodes"])
-        return {"success rate": rate}, (round(rate * episodes), episodes)
+        told = check_document(table, _Success, run_dir / "summary.json", _REMEDY)
+        return {"success rate": told.success_rate}, (round(told.success_rate * told.episodes), told.episodes)
     numbers = {name.replace(".", " "): value for name, value in flatten(table)}
-    measures = {n: float(v) for n, v in numbers.items() if isinstance(v, int | float)}
+    measures = {n: _to_float(v) for n, v in numbers.items() if type(v) in (int, float)}
     return {n.replace("_", " "): v for n, v in measures.items() if not n.endswith("trajectories")}, None
+
+
+def _to_float(value: float) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
 
 
 def _check_finite(result: RunResult) -> None:
@@ -159,9 +185,9 @@ def _check_finite(result: RunResult) -> None:
         raise ConfigError(f"{result.run}: {reason}: leave the run out.")
 
 
-def _episodes_by_object(table: Mapping[str, Any]) -> dict[str, int]:
-    rows = table.get("objects", {})
-    return {f"episodes of {name}": row["episodes"] for name, row in sorted(rows.items())}
+def _episodes_by_object(table: Mapping[str, Any], run_dir: Path) -> dict[str, int]:
+    rows = check_document(table, _Objects, run_dir / "summary.json", _REMEDY).objects
+    return {f"episodes of {name}": row.episodes for name, row in sorted(rows.items())}
 
 
 def _seed(config: Mapping[str, Any]) -> int | None:
@@ -170,8 +196,9 @@ def _seed(config: Mapping[str, Any]) -> int | None:
         return config.get("seed")
     for name in ("learner", "policy"):
         trained = Path(str(config.get(name))) / "config.yaml"
-        if trained.is_file():
-            return _read(trained).get("seed")
+        with suppress(OSError):  # a name too long for a file
+            if trained.is_file():
+                return _read_config(trained).get("seed")
     return None
 
 

@@ -5,18 +5,21 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import hashlib
+import math
 import os
 import tempfile
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, TypeVar
 
 import numpy as np
 
+from torchgrasp.documents import read_text
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.names import to_path
-from torchgrasp.objects.model import GraspObject
+from torchgrasp.objects.model import GraspObject, content_hash
 
 T = TypeVar("T")
 _STRINGS = ("name", "family", "licence", "content_hash")
@@ -66,8 +69,8 @@ def load_or_build(path: Path, build: Callable[[], GraspObject]) -> GraspObject:
     refused = refusal_path(path)
 
     def attempt() -> GraspObject:
-        if refused.exists():
-            raise ObjectError(read_refusal(refused))
+        if (reason := read_refusal(path)) is not None:
+            raise ObjectError(reason)
         try:
             return build()
         except ObjectError as error:
@@ -84,9 +87,12 @@ def refusal_path(path: Path) -> Path:
     return path.with_suffix(".refused")
 
 
-def read_refusal(refused: Path) -> str:
-    """The reason that a file of `refusal_path` holds."""
-    return refused.read_text(encoding="utf-8", errors="replace")
+def read_refusal(path: Path) -> str | None:
+    """Why the object of `path` cannot be built, None where that is not remembered."""
+    refused = refusal_path(path)
+    if not refused.exists():
+        return None
+    return read_text(refused, "delete it, and the object is tried again", error=ObjectError)
 
 
 def cached(
@@ -183,10 +189,13 @@ def save(path: Path, item: GraspObject) -> None:
 
 def load(path: Path) -> GraspObject:
     """The object that `save` wrote; raises on a damaged file."""
+    _check_sizes(path)
     with np.load(path, allow_pickle=False) as file:
         stored = {name: file[name] for name in file.files}
     parts = np.split(stored["part_vertices"], np.cumsum(stored["part_sizes"])[:-1])
     arrays = {name: stored[name] for name in _ARRAYS}
+    if content_hash((*arrays.values(), *parts)) != str(stored["content_hash"]):
+        raise ValueError("its arrays are not those that were written")
     return GraspObject(
         name=str(stored["name"]),
         family=str(stored["family"]),
@@ -196,3 +205,16 @@ def load(path: Path) -> GraspObject:
         content_hash=str(stored["content_hash"]),
         **arrays,
     )
+
+
+def _check_sizes(path: Path) -> None:
+    """Refuse arrays that claim more bytes than the file has, before there is room made for them."""
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    with zipfile.ZipFile(path) as archive:
+        for entry in archive.infolist():
+            if entry.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{entry.filename} is compressed")
+            with archive.open(entry) as stream:
+                shape, _, dtype = read[np.lib.format.read_magic(stream)](stream)
+                if stream.tell() + math.prod(shape) * dtype.itemsize != entry.file_size:
+                    raise ValueError(f"{entry.filename} has another size than its array")

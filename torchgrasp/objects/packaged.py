@@ -9,16 +9,23 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from torchgrasp.errors import ConfigError, ObjectError, check_whole
+from torchgrasp.documents import Count, Document, Name, Text, read_document
+from torchgrasp.errors import ConfigError, check_whole
 from torchgrasp.objects.file_objects import FileObjects, Source
 from torchgrasp.objects.solids import Solid
 
 INDEX_DIR = Path(__file__).parent / "data"
+
+
+class ObjectIndex(Document):
+    """The index of a package's objects: why each is unusable, or nothing."""
+
+    build_version: Count
+    objects: dict[Name, Text]
 
 
 def package_folder(package: str, extra: str) -> Path:
@@ -33,15 +40,7 @@ def package_folder(package: str, extra: str) -> Path:
 def read_index(kind: str) -> dict[str, str]:
     """Why an object is unusable, by name; empty text for those that are usable, nothing where unknown."""
     file = INDEX_DIR / f"{kind}.json"
-    if not file.exists():
-        return {}
-    try:
-        objects = json.loads(file.read_text(encoding="utf-8"))["objects"]
-        if not all(isinstance(reason, str) for reason in objects.values()):
-            raise TypeError("a reason is no text")
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise ObjectError(f"{file} is damaged ({error}): install torchgrasp again.") from error
-    return objects
+    return read_document(file, ObjectIndex, "install torchgrasp again").objects if file.exists() else {}
 
 
 class PackagedObjects(FileObjects):

@@ -13,7 +13,7 @@ import numpy as np
 
 from torchgrasp.errors import ObjectError, check_whole
 from torchgrasp.names import to_path
-from torchgrasp.objects.cache import default_cache_dir, load_or_build, read_refusal, refusal_path
+from torchgrasp.objects.cache import default_cache_dir, load_or_build, read_refusal
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.parallel import run_each
 
@@ -94,10 +94,9 @@ class ObjectSet(Sequence[GraspObject], ABC):
     def refusal(self, index: int) -> str | None:
         """Why the object cannot be used: its file cannot be read, or an earlier attempt to build it told."""
         try:
-            refused = refusal_path(self._cache_path(index))
+            return read_refusal(self._cache_path(index))
         except ObjectError as error:
             return str(error)
-        return read_refusal(refused) if refused.exists() else None
 
     def missing(self) -> list[int]:
         """Indices of the objects that are to be built: neither in the cache nor refused."""

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from torchgrasp.data.files import write_text_atomically
+from torchgrasp.errors import printable
 from torchgrasp.evaluation.comparison import Difference, GroupRow, by_measure
 from torchgrasp.evaluation.intervals import Interval
-from torchgrasp.names import printable
 from torchgrasp.report.pages import render_page
 
 _HEAD = ("", "seeds", "of each", "mean ± s.d.", "episodes", "pooled, 95 % interval")

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from torchgrasp import keys
-from torchgrasp.names import printable
+from torchgrasp.errors import printable
 from torchgrasp.rollouts.episode_pool import Episode
 
 # A success table of `SuccessTable.summary`, or a row of one.

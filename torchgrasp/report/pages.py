@@ -8,7 +8,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from torchgrasp.names import printable
+from torchgrasp.errors import printable
 
 
 def render_page(template: str, **values: Any) -> str:

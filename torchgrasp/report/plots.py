@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, printable
 from torchgrasp.evaluation.learning_curves import LearningCurve
 from torchgrasp.geometry import gripper_control_points
-from torchgrasp.names import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

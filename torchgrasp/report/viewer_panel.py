@@ -7,8 +7,8 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from torchgrasp.errors import printable
 from torchgrasp.evaluation.success import SuccessTable
-from torchgrasp.names import printable
 
 if TYPE_CHECKING:
     import viser

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
 
 import torchgrasp
-from torchgrasp.data.files import check_file, describe_file, find_folder, replace_folder
+from torchgrasp.data.files import FileRecord, check_file, describe_file, find_folder, replace_folder
 from torchgrasp.data.state_files import read_state, write_state
+from torchgrasp.documents import Document, Name, check_document, read_json, shorten
 from torchgrasp.errors import CheckpointError
 
 _MANIFEST = "manifest.json"
@@ -17,6 +21,24 @@ _MANIFEST = "manifest.json"
 _FORMAT = 2
 _MAX_READS = 20
 _REMEDY = "restore the folder from a copy, or begin another run"
+_NAME = r"^[\w-]{1,200}$"
+
+
+class Manifest(Document):
+    """manifest.json: what a checkpoint holds, in files `<entry>.json` and, where there are tensors, more."""
+
+    format: Literal[2]
+    torchgrasp: Name
+    entries: list[Annotated[str, Field(pattern=_NAME)]]
+    files: dict[str, FileRecord]
+
+    @model_validator(mode="after")
+    def _check_files(self) -> Manifest:
+        needed = {f"{name}.json" for name in self.entries}
+        allowed = needed | {f"{name}.safetensors" for name in self.entries}
+        if len(needed) < len(self.entries) or not needed <= self.files.keys() <= allowed:
+            raise ValueError("files of the entries, and no others")
+        return self
 
 
 def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
@@ -27,14 +49,15 @@ def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
     """
     with replace_folder(path) as folder:
         for name, value in state.items():
-            if not name.replace("_", "").replace("-", "").isalnum():
+            if not re.match(_NAME, name):
                 raise CheckpointError(
                     f"{name!r} names an entry of a checkpoint: use letters, digits, _ and -."
                 )
             write_state(folder, name, value)
         files = {file.name: describe_file(file) for file in sorted(folder.iterdir())}
         manifest = {"format": _FORMAT, "torchgrasp": torchgrasp.__version__, "entries": list(state)}
-        (folder / _MANIFEST).write_text(json.dumps({**manifest, "files": files}, indent=2))
+        manifest = check_document({**manifest, "files": files}, Manifest, folder / _MANIFEST, _REMEDY)
+        (folder / _MANIFEST).write_text(json.dumps(manifest.model_dump(), indent=2))
 
 
 def load_checkpoint(path: str | Path) -> dict[str, Any]:
@@ -69,9 +92,13 @@ def _identify(folder: Path) -> tuple[int, int] | None:
 
 def _load_folder(folder: Path) -> dict[str, Any]:
     manifest = _read_manifest(folder)
-    for name, expected in manifest["files"].items():
+    for name, expected in manifest.files.items():
         check_file(folder / name, expected, _REMEDY)
-    return {name: read_state(folder, name, _REMEDY) for name in manifest["entries"]}
+    for name in manifest.entries:
+        file = f"{name}.safetensors"
+        if file not in manifest.files and (folder / file).exists():
+            raise CheckpointError(f"{folder / file} is no part of the checkpoint beside it: {_REMEDY}.")
+    return {name: read_state(folder, name, _REMEDY) for name in manifest.entries}
 
 
 def has_checkpoint(path: str | Path) -> bool:
@@ -89,19 +116,15 @@ def check_format(path: str | Path) -> None:
     _read_manifest(find_folder(path))
 
 
-def _read_manifest(folder: Path) -> dict[str, Any]:
+def _read_manifest(folder: Path) -> Manifest:
     file = folder / _MANIFEST
-    try:
-        manifest = json.loads(file.read_text())
-        version, _, _ = manifest["format"], dict(manifest["files"]), list(manifest["entries"])
-    except OSError as error:
-        message = f"There is no checkpoint at {folder} (no {_MANIFEST}): name a run directory's."
-        raise CheckpointError(message) from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{file} is damaged ({error}): {_REMEDY}.") from error
+    if not file.exists():
+        raise CheckpointError(f"There is no checkpoint at {folder} (no {_MANIFEST}): name a run directory's.")
+    manifest = read_json(file, _REMEDY)
+    version = manifest.get("format", _FORMAT) if isinstance(manifest, dict) else _FORMAT
     if version != _FORMAT:
         raise CheckpointError(
-            f"{file} has format {version}, this version reads {_FORMAT}: go on with the torchgrasp that "
-            "wrote it, or begin a new run with init=<its run directory>."
+            f"{file} has format {shorten(version)}, this version reads {_FORMAT}: go on with the torchgrasp "
+            "that wrote it, or begin a new run with init=<its run directory>."
         )
-    return manifest
+    return check_document(manifest, Manifest, file, _REMEDY)

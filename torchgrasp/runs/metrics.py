@@ -10,10 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchgrasp.data.files import write_text_atomically
+from torchgrasp.documents import read_text, shorten
 from torchgrasp.errors import CheckpointError
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
+
+
+_REMEDY = "restore it from a copy, or delete it"
+_MAX_BYTES = 1 << 27
 
 
 class MetricsLogger:
@@ -60,13 +65,10 @@ class MetricsLogger:
     def _read_rows(self, before_step: float | None) -> list[dict[str, str]]:
         if before_step is None or not self._path.exists():
             return []
-        with self._path.open(newline="") as stream:
-            reader = csv.DictReader(stream)
-            rows = [
-                row for row in reader if None not in row.values() and _step(row, self._path) < before_step
-            ]
-            self._columns = list(reader.fieldnames or self._columns)
-        return rows
+        names, cells = read_cells(self._path)
+        self._columns = names or self._columns
+        rows = [dict(zip(names, row, strict=True)) for row in cells]
+        return [row for row in rows if _step(row, self._path) < before_step]
 
     def _rewrite(self, rows: list[dict[str, str]]) -> None:
         stream = io.StringIO()
@@ -81,8 +83,27 @@ def _to_text(value: float) -> str:
     return str(int(value)) if value.is_integer() else repr(value)
 
 
+def read_cells(path: Path) -> tuple[list[str], list[list[str]]]:
+    """The columns' names and the cells of each row of a metrics.csv; a line that a kill cut off is left out.
+
+    CheckpointError names a file that cannot be read, or whose first line names no column `step` or one twice.
+    """
+    text = read_text(path, _REMEDY, at_most=_MAX_BYTES)
+    try:
+        names, *rows = list(csv.reader(io.StringIO(text, newline=""))) or [[]]
+    except csv.Error as error:
+        raise CheckpointError(f"{path} cannot be used ({error}): {_REMEDY}.") from error
+    if names and ("step" not in names or len(set(names)) < len(names)):
+        raise CheckpointError(
+            f"{path} begins with {shorten(names)}, not with the names of columns, step among them: {_REMEDY}."
+        )
+    return names, [row for row in rows if len(row) == len(names)]
+
+
 def _step(row: dict[str, str], path: Path) -> int:
     try:
         return int(row["step"])
-    except (KeyError, ValueError) as error:
-        raise CheckpointError(f"{path} has a row without a step: mend or delete the file.") from error
+    except ValueError as error:
+        raise CheckpointError(
+            f"{path} has a row whose step is {shorten(row['step'])}, no whole number: {_REMEDY}."
+        ) from error

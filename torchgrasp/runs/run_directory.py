@@ -16,13 +16,11 @@ import torch
 
 import torchgrasp
 from torchgrasp.data.files import write_json_atomically
+from torchgrasp.documents import check_document
 from torchgrasp.errors import ConfigError
+from torchgrasp.runs.summary import Summary
 
 _PACKAGES = ("torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
-_REQUIRED = (
-    *("success_rate", "success_ci95", "episodes", "objects"),
-    *("wall_seconds", "env_steps", "gradient_steps", "versions", "hardware"),
-)
 
 
 def make_run_dir(recipe: str, *, root: str | Path = "outputs") -> Path:
@@ -80,8 +78,6 @@ def write_summary(run_dir: str | Path, summary: Mapping[str, Any]) -> dict[str, 
     gradient_steps.
     """
     whole = {"versions": versions(), "hardware": hardware(), **summary}
-    missing = [key for key in _REQUIRED if key not in whole]
-    if missing:
-        raise ConfigError(f"The summary lacks {missing}: give a value for each.")
+    check_document(whole, Summary, "The summary", "give plain values for each", error=ConfigError)
     write_json_atomically(Path(run_dir) / "summary.json", whole)
     return whole

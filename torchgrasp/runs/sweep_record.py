@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torchgrasp.data.files import write_json_atomically, write_text_atomically
-from torchgrasp.errors import CheckpointError
+from torchgrasp.documents import Document, RelativePath, Text, check_document, read_document, read_text
+from torchgrasp.errors import printable
 
 _FAILURE = "failed.txt"
+_REMEDY = "restore it from a copy"
+
+
+class JobRecord(Document):
+    """A job's file; `run_dir` is seen from the sweep's folder."""
+
+    overrides: list[Text]
+    run_dir: RelativePath | None
+    failure: Text | None
+    ended: bool
 
 
 @dataclass(frozen=True)
@@ -43,8 +53,11 @@ def write_job(folder: str | Path, job: SweepJob) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     # Relative, so that outputs can be moved or mounted elsewhere as a whole.
     run_dir = None if job.run_dir is None else os.path.relpath(job.run_dir, folder)
-    row = {"overrides": list(job.overrides), "run_dir": run_dir, "failure": job.failure, "ended": job.ended}
-    write_json_atomically(_path(folder, job.number), row)
+    failure = None if job.failure is None else printable(job.failure)
+    row = {"overrides": list(job.overrides), "run_dir": run_dir, "failure": failure, "ended": job.ended}
+    path = _path(folder, job.number)
+    record = check_document(row, JobRecord, path, "give other options, or another output folder")
+    write_json_atomically(path, record.model_dump())
     if job.run_dir is not None and job.failure is not None:
         write_text_atomically(job.run_dir / _FAILURE, job.failure + "\n")
 
@@ -52,25 +65,22 @@ def write_job(folder: str | Path, job: SweepJob) -> None:
 def read_job(folder: str | Path, number: int) -> SweepJob:
     """Read one job's file."""
     path = _path(Path(folder), number)
-    try:
-        row = json.loads(path.read_text())
-        run_dir = None if row["run_dir"] is None else _shortest(path.parent / row["run_dir"])
-        return SweepJob(number, tuple(row["overrides"]), run_dir, row["failure"], row["ended"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{path} cannot be read ({error}): restore it from a copy.") from error
+    record = read_document(path, JobRecord, _REMEDY)
+    run_dir = None if record.run_dir is None else _shortest(path.parent / record.run_dir)
+    return SweepJob(number, tuple(record.overrides), run_dir, record.failure, record.ended)
 
 
 def read_sweep(folder: str | Path) -> list[SweepJob]:
     """All jobs of a sweep in order; empty where the folder is of no sweep."""
-    numbers = [int(path.stem.removeprefix("job_")) for path in Path(folder).glob("job_*.json")]
-    return [read_job(folder, number) for number in sorted(numbers)]
+    numbers = [path.stem.removeprefix("job_") for path in Path(folder).glob("job_*.json")]
+    return [read_job(folder, number) for number in sorted(int(each) for each in numbers if each.isdecimal())]
 
 
 def read_failure(run_dir: str | Path) -> str | None:
     """Why a run of a sweep failed, None where it did not, or went on afterwards and finished."""
     path = Path(run_dir) / _FAILURE
     finished = (Path(run_dir) / "summary.json").is_file()
-    return path.read_text().strip() if path.is_file() and not finished else None
+    return read_text(path, _REMEDY).strip() if path.is_file() and not finished else None
 
 
 def group_jobs(jobs: Sequence[SweepJob]) -> dict[str, list[SweepJob]]:

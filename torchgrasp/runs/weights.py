@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,38 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 import torchgrasp
+from torchgrasp.documents import Document, Name, Plain, check_document, parse_json, reading
 from torchgrasp.errors import CheckpointError, ConfigError
 
 _SEPARATOR = "/"
+_REMEDY = "get the file again"
+# Files of this version have no checksum.
+_UNGUARDED = "0.1."
 # The policy that comes with the library; pretrained.json beside it tells how it was trained and what it does.
 PRETRAINED = Path(torchgrasp.__file__).parent / "weights" / "pretrained.safetensors"
+
+
+class WeightsMetadata(Document):
+    """The metadata of a weights file, texts as safetensors has them.
+
+    Attributes:
+        config: JSON of the configuration that rebuilds the networks.
+        modules: JSON of the modules' names.
+        torchgrasp: the version that wrote the file.
+        sha256: of `config`, `modules` and all tensors.
+    """
+
+    config: str
+    modules: str
+    torchgrasp: Name
+    sha256: str | None = None
+
+
+class WeightsContents(Document):
+    """What the JSON in a weights file's metadata says."""
+
+    config: Plain
+    modules: list[Name]
 
 
 def save_weights(
@@ -36,35 +64,88 @@ def save_weights(
         tensors |= {f"{name}{_SEPARATOR}{key}": _own(value) for key, value in state.items()}
     try:
         text = json.dumps(dict(config))
-    except TypeError as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise ConfigError(
             f"The config of {path} is not plain ({error}): resolve it to dicts first."
         ) from error
-    metadata = {"config": text, "modules": json.dumps(list(modules)), "torchgrasp": torchgrasp.__version__}
+    names = json.dumps(list(modules))
+    _read_contents(text, names, path)
+    metadata = WeightsMetadata(
+        config=text,
+        modules=names,
+        torchgrasp=torchgrasp.__version__,
+        sha256=_digest((text, names), tensors),
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.new")
-    save_file(tensors, part, metadata=metadata)
+    save_file(tensors, part, metadata=metadata.model_dump())
     with part.open("rb") as stream:
         os.fsync(stream.fileno())
     part.replace(path)
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
-    """Read (state_dicts by module name, config) from a file of `save_weights`; nothing is unpickled."""
-    if not Path(path).is_file():
+    """Read (state_dicts by module name, config) from a file of `save_weights`; nothing is unpickled.
+
+    CheckpointError names a file that is missing, damaged, or no longer as its checksum tells.
+    """
+    with reading(Path(path), _REMEDY):
+        there = Path(path).is_file()
+    if not there:
         raise CheckpointError(f"There is no weights file at {path}: give the path of a .safetensors file.")
     try:
-        with safe_open(path, framework="pt") as file:
+        with reading(Path(path), _REMEDY), safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
-            states = {name: {} for name in json.loads(metadata["modules"])}
-            for key in file.keys():  # noqa: SIM118 - safe_open is no mapping
-                name, parameter = key.split(_SEPARATOR, 1)
-                states[name][parameter] = file.get_tensor(key)
-            return states, json.loads(metadata["config"])
-    except (SafetensorError, ValueError, KeyError, OSError, RuntimeError) as error:
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - no mapping
+    except (SafetensorError, KeyError, RuntimeError) as error:
         raise CheckpointError(
-            f"{path} is damaged or no weights file of torchgrasp ({error}): get the file again."
+            f"{path} is damaged or no weights file of torchgrasp ({error}): {_REMEDY}."
         ) from error
+    told = check_document(metadata, WeightsMetadata, path, f"it is no weights file of torchgrasp, {_REMEDY}")
+    contents = _read_contents(told.config, told.modules, path)
+    _check_digest(told, tensors, path)
+    return _group(tensors, contents.modules, path), contents.config
+
+
+def _read_contents(config: str, modules: str, path: str | Path) -> WeightsContents:
+    parts = {
+        name: parse_json(text, f"{path}: {name}", _REMEDY)
+        for name, text in (("config", config), ("modules", modules))
+    }
+    return check_document(parts, WeightsContents, path, _REMEDY)
+
+
+def _check_digest(told: WeightsMetadata, tensors: Mapping[str, Tensor], path: str | Path) -> None:
+    if told.sha256 is None and told.torchgrasp.startswith(_UNGUARDED):
+        return
+    if told.sha256 != _digest((told.config, told.modules), tensors):
+        raise CheckpointError(
+            f"{path} was changed after it was saved (its checksum differs, or is missing): {_REMEDY}."
+        )
+
+
+def _digest(texts: Iterable[str], tensors: Mapping[str, Tensor]) -> str:
+    """SHA-256 of texts and named tensors, of these also types and shapes, whatever their order."""
+    digest = hashlib.sha256()
+    for text in texts:
+        digest.update(f"{len(text)} {text}".encode())
+    for name, value in sorted(tensors.items()):
+        digest.update(f"{len(name)} {name} {value.dtype} {list(value.shape)}".encode())
+        digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy())
+    return digest.hexdigest()
+
+
+def _group(
+    tensors: Mapping[str, Tensor], modules: Iterable[str], path: str | Path
+) -> dict[str, dict[str, Tensor]]:
+    """The tensors by module and parameter."""
+    states: dict[str, dict[str, Tensor]] = {name: {} for name in modules}
+    for key, value in tensors.items():
+        name, separator, parameter = key.partition(_SEPARATOR)
+        if not separator or name not in states:
+            raise CheckpointError(f"{path} has the tensor {key!r} of no module that it names: {_REMEDY}.")
+        states[name][parameter] = value
+    return states
 
 
 def _own(value: Tensor) -> Tensor:

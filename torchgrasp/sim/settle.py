@@ -109,7 +109,8 @@ def _path(target: GraspObject, physics: Physics, cache_dir: str | Path | None) -
 
 
 def _load(path: Path) -> np.ndarray:
-    poses = np.load(path, allow_pickle=False)
+    # Mapped first, which compares the file's size with the shape that it tells.
+    poses = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
     if poses.shape[1:] != (4, 4):
         raise ValueError(f"shape {poses.shape}")
     return poses

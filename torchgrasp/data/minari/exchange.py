@@ -12,7 +12,6 @@ no observation after its end: the last one stands there twice, with infos of zer
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Iterator
 from itertools import islice
@@ -23,17 +22,17 @@ from tensordict import TensorDict
 
 from torchgrasp import keys
 from torchgrasp.data.compact import CompactTransitions
-from torchgrasp.data.demonstration_card import begin_demonstrations
+from torchgrasp.data.demonstration_card import Card, begin_demonstrations
 from torchgrasp.data.demonstrations import Demonstrations
 from torchgrasp.data.files import replace_folder
 from torchgrasp.data.minari.columns import check_alike
+from torchgrasp.data.minari.dataset_files import CARD, REMEDY, check_hdf5, read_metadata
 from torchgrasp.data.minari.episode_columns import columns_to_rows, make_space, rows_to_columns
 from torchgrasp.data.shards import append_rows
-from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError, printable
 
-# Where the card of the demonstrations stands in Minari's metadata.
-_CARD = "torchgrasp"
 _SHARD_EPISODES = 28
+_MAX_NAME = 1000
 _T = TypeVar("_T")
 
 
@@ -120,7 +119,7 @@ def _describe(demonstrations: Demonstrations, identity: str, version: str) -> di
         "algorithm_name": words.get(card["kind"], card["kind"]),
         "description": f"6-DoF grasping from point clouds by torchgrasp: {card['episodes']} episodes, "
         f"{card['successes']} successful. Points are in the hand's frame, metres.",
-        _CARD: card,
+        CARD: card,
     }
 
 
@@ -143,24 +142,21 @@ def import_minari(
     codec, path = codec or CompactTransitions(), Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise ConfigError(f"{path} is there already: give a folder that does not exist yet.")
-    dataset, metadata = _open(source)
-    if not dataset.total_episodes:
-        raise ConfigError(f"{dataset.storage.data_path} holds no episode: there is nothing to import.")
-    told = metadata.get(_CARD, {})
-    provenance = {**told.get("provenance", {}), "imported_from": dataset.id}
+    dataset, told = _open(source)
+    provenance = {**({} if told is None else told.provenance), "imported_from": dataset.id}
     if kind is not None:
         provenance["kind"] = kind
     with replace_folder(path) as new:
-        begin_demonstrations(new, kind=kind or told.get("kind", "expert"), provenance=provenance)
-        return _append_all(new, _read_episodes(dataset, codec, ours=bool(told)), told)
+        begin_demonstrations(new, kind=kind or (told.kind if told else "expert"), provenance=provenance)
+        return _append_all(new, _read_episodes(dataset, codec, ours=told is not None), told)
 
 
 def _append_all(
-    path: Path, episodes: Iterable[tuple[TensorDict, str, int]], told: dict[str, Any]
+    path: Path, episodes: Iterable[tuple[TensorDict, str, int]], told: Card | None
 ) -> dict[str, Any]:
     """Append all episodes, shard by shard; returns the card."""
     # What was run and not kept is told with the first shard, and so is the time that all took.
-    dropped, seconds = told.get("attempts", 0) - told.get("episodes", 0), told.get("wall_seconds", 0.0)
+    dropped, seconds = (max(0, told.attempts - told.episodes), told.wall_seconds) if told else (0, 0.0)
     card: dict[str, Any] = {}
     for index, some in enumerate(_in_groups(episodes)):
         rows, objects, seeds = zip(*some, strict=True)
@@ -176,8 +172,8 @@ def _append_all(
     return card
 
 
-def _open(source: str | Path) -> tuple[Any, dict[str, Any]]:
-    """The MinariDataset and its raw metadata."""
+def _open(source: str | Path) -> tuple[Any, Card | None]:
+    """The MinariDataset, once its files are harmless, and the card where an export wrote one."""
     minari = load_minari()
     folder, identity = find_dataset(source)
     data = folder / "data" if (folder / "data").is_dir() else folder
@@ -186,10 +182,14 @@ def _open(source: str | Path) -> tuple[Any, dict[str, Any]]:
             f"There is no Minari dataset at {folder}: name its folder, or get it by "
             f"`minari download {identity}`."
         )
+    metadata = read_metadata(data)
+    if not metadata.total_episodes:
+        raise ConfigError(f"{data} holds no episode: there is nothing to import.")
+    check_hdf5(data, metadata.total_episodes)
     try:
-        return minari.MinariDataset(data), json.loads((data / "metadata.json").read_text())
-    except (OSError, ValueError, KeyError, AssertionError) as error:
-        raise CheckpointError(f"{data} is damaged or no Minari dataset ({error}): get it again.") from error
+        return minari.MinariDataset(data), metadata.torchgrasp
+    except Exception as error:  # whatever Minari and Gymnasium raise, the remedy is the same
+        raise CheckpointError(f"{data} is damaged or no Minari dataset ({error}): {REMEDY}.") from error
 
 
 def _read_episodes(
@@ -197,17 +197,27 @@ def _read_episodes(
 ) -> Iterator[tuple[TensorDict, str, int]]:
     """Rows, the object's name and the seed of each episode."""
     first = None
+    for number in dataset.episode_indices:
+        episode, told = _read_episode(dataset, number)
+        options, seed = told.get("options", {}), told.get("seed") or 0
+        if not isinstance(options, dict) or not -(2**63) <= seed < 2**63:
+            raise ConfigError(
+                f"Episode {number} has options {options!r} and the seed {seed}: mend the dataset."
+            )
+        rows = columns_to_rows(episode, codec, ours=ours)
+        first = check_alike(number, rows, first)
+        yield rows, printable(options.get("object", "unknown"))[:_MAX_NAME], seed
+
+
+def _read_episode(dataset: Any, number: int) -> tuple[Any, dict[str, Any]]:
+    """What Minari gives of an episode, and the attributes beside it."""
     try:
-        for number in dataset.episode_indices:
-            (episode,) = dataset.iterate_episodes([number])
-            (told,) = dataset.storage.get_episode_metadata([number])
-            name = str(told.get("options", {}).get("object", "unknown"))
-            rows = columns_to_rows(episode, codec, ours=ours)
-            first = check_alike(number, rows, first)
-            yield rows, name, int(told.get("seed") or 0)
-    except (OSError, KeyError, RuntimeError) as error:
+        (episode,) = dataset.iterate_episodes([number])
+        (told,) = dataset.storage.get_episode_metadata([number])
+        return episode, told
+    except Exception as error:  # HDF5 and Minari raise what their libraries do
         raise CheckpointError(
-            f"{dataset.storage.data_path} cannot be read ({error}): get it again."
+            f"{dataset.storage.data_path} cannot be read ({type(error).__name__}: {error}): {REMEDY}."
         ) from error
 
 

@@ -1,0 +1,47 @@
+"""summary.json of a run, as it is written and read again: what was measured, and on which machine."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, JsonValue
+
+from torchgrasp.documents import Amount, Count, Name, OpenDocument, Plain, Rate
+
+# Read from JSON as a list, given as a list or a pair.
+_Interval = Annotated[tuple[Rate, Rate], Field(strict=False)]
+
+
+class ObjectRow(OpenDocument):
+    """Of one object."""
+
+    episodes: Count
+    successes: Count
+
+
+class Summary(OpenDocument):
+    """What every recipe that evaluates tells; some tell more.
+
+    Attributes:
+        success_rate: in [0, 1].
+        success_ci95: the ends of its 95 % interval.
+        episodes: that it was measured on.
+        objects: by name.
+        wall_seconds: of the whole run.
+        env_steps: of training, or of the evaluation.
+        gradient_steps: of training.
+        versions: of Python and packages.
+        hardware: of the machine.
+        comparison: success tables of the policy and of others, by name.
+    """
+
+    success_rate: Rate
+    success_ci95: _Interval
+    episodes: Count
+    objects: dict[Name, ObjectRow]
+    wall_seconds: Amount
+    env_steps: Count
+    gradient_steps: Count
+    versions: dict[Name, Name]
+    hardware: dict[Name, JsonValue]
+    comparison: dict[Name, Plain] = {}
