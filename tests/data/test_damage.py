@@ -1,5 +1,6 @@
 """Damaged demonstrations: found on opening, named, and never trained on."""
 
+import contextlib
 import json
 import resource
 import shutil
@@ -8,8 +9,11 @@ import pytest
 import torch
 
 from tests.data.rollouts import append, make_episodes
+from tests.hostile_values import check_each, check_texts
 from torchgrasp.data import begin_demonstrations, drop_damaged_shards, open_demonstrations
-from torchgrasp.data.files import seal_json
+from torchgrasp.data.demonstration_card import add_to_card, empty_card
+from torchgrasp.data.files import describe_file, seal_json
+from torchgrasp.data.shards import shard_name
 from torchgrasp.errors import CheckpointError, ConfigError
 
 
@@ -156,4 +160,96 @@ def test_older_formats_are_told_apart_from_damage(path):
         open_demonstrations(path)
     (path / "origin.json").write_text("{}")
     with pytest.raises(CheckpointError, match=r"format 1.*reads format 2"):
+        open_demonstrations(path)
+
+
+def reseal(path, document):
+    path.write_text(seal_json(document))
+
+
+def unseal(path):
+    document = json.loads(path.read_text())
+    del document["crc32"]
+    return document
+
+
+def write_shard(path, number, shard):
+    """Put a shard.json in its place, and as far as it goes the card that tells of it."""
+    reseal(path / shard_name(number) / "shard.json", shard)
+    shards = [unseal(path / shard_name(each) / "shard.json") for each in range(3)]
+    card = unseal(path / "card.json")
+    with contextlib.suppress(Exception):
+        summary = empty_card(card["kind"], card["provenance"])
+        for each in shards:
+            summary = add_to_card(summary, each)
+        reseal(path / "card.json", summary)
+
+
+def names_no_schema_knows(words):
+    """Names, seeds, times and versions may be any that could be."""
+    place, _, kind = words.partition(": ")
+    parts = place.split(".")
+    if kind in ("left out", "more"):
+        return "provenance" in parts or (parts[0] in ("objects", "versions") and len(parts) > 1)
+    return "provenance" in parts or "seed" in parts or "seeds" in parts
+
+
+def test_a_hostile_shard_with_a_right_checksum_is_refused(path):
+    shard = unseal(path / "shard_00001" / "shard.json")
+    card = (path / "card.json").read_bytes()
+
+    def write(document):
+        (path / "card.json").write_bytes(card)
+        write_shard(path, 1, document)
+
+    assert check_each(shard, write, lambda: open_demonstrations(path), free=names_no_schema_knows) > 300
+
+
+def test_a_hostile_card_with_a_right_checksum_is_refused(path):
+    card = unseal(path / "card.json")
+
+    def write(document):
+        reseal(path / "card.json", document)
+
+    assert check_each(card, write, lambda: open_demonstrations(path), free=names_no_schema_knows) > 200
+
+
+def test_hostile_rows_with_right_checksums_are_refused(path):
+    file, shard = path / "shard_00001" / "rows" / "meta.json", path / "shard_00001" / "shard.json"
+    told = unseal(shard)
+    sizes = {each: each.stat().st_size for each in file.parent.iterdir() if each != file}
+
+    def write(document):
+        file.write_text(json.dumps(document))
+        told["files"]["rows/meta.json"] = describe_file(file)
+        write_shard(path, 1, told)
+
+    def free(words):
+        return words == "device: left out" or words.endswith("is_nested: left out")
+
+    meta = json.loads(file.read_text())
+    assert check_each(meta, write, lambda: open_demonstrations(path), free=free) > 500
+    assert {each: each.stat().st_size for each in sizes} == sizes
+
+
+def test_reading_demonstrations_writes_nothing(path):
+    before = {
+        file: (file.read_bytes(), file.stat().st_mtime_ns) for file in path.rglob("*") if file.is_file()
+    }
+    for rows in open_demonstrations(path).shards:
+        rows["points"].zero_()
+    assert {f: (f.read_bytes(), f.stat().st_mtime_ns) for f in path.rglob("*") if f.is_file()} == before
+    open_demonstrations(path)
+
+
+def test_files_that_are_no_documents_are_named(path):
+    for file in (path / "card.json", path / "shard_00001" / "shard.json"):
+        content = file.read_bytes()
+        check_texts(file, lambda: open_demonstrations(path))
+        file.write_bytes(content)
+
+
+def test_a_file_that_no_shard_tells_of_is_named(path):
+    (path / "shard_00001" / "rows" / "more.memmap").write_bytes(b"1")
+    with pytest.raises(CheckpointError, match=r"more\.memmap is no file of the shard"):
         open_demonstrations(path)

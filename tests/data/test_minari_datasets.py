@@ -1,5 +1,8 @@
 """Minari datasets, written and read by Minari itself."""
 
+import contextlib
+import json
+import shutil
 import subprocess
 import sys
 
@@ -8,6 +11,7 @@ import pytest
 import torch
 
 from tests.data.rollouts import append
+from tests.hostile_values import check_each, check_texts
 from torchgrasp.__main__ import main
 from torchgrasp.data import begin_demonstrations, open_demonstrations
 from torchgrasp.data.minari.exchange import export_minari, import_minari
@@ -254,3 +258,141 @@ def test_without_minari_one_line_tells_what_to_install(demonstrations, monkeypat
     monkeypatch.setitem(sys.modules, "minari", None)
     assert main(["dataset", str(demonstrations.path), "--export", NAME]) == 1
     assert 'pip install "torchgrasp[minari]"' in capsys.readouterr().err
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    space = make_space(STATES)
+    return write_dataset(tmp_path / "other-v1", space, [record_episode(space, 3, seed) for seed in (0, 1)])
+
+
+def refuse(dataset, told, tmp_path):
+    with pytest.raises((CheckpointError, ConfigError), match=told) as error:
+        import_minari(dataset, tmp_path / "demos")
+    assert "\n" not in str(error.value) and not (tmp_path / "demos").exists()
+
+
+def test_hostile_metadata_is_refused(dataset, tmp_path):
+    file = dataset / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+
+    def write(document):
+        file.write_text(json.dumps(document))
+
+    def read():
+        shutil.rmtree(tmp_path / "demos", ignore_errors=True)
+        import_minari(dataset, tmp_path / "demos")
+
+    def free(words):  # what is not read
+        return words.startswith(("total_steps", "jpeg_encoding", "dataset_size")) or words.endswith("more")
+
+    assert check_each(metadata, write, read, free=free) > 40
+    check_texts(file, read)
+    write({**metadata, "observation_space": metadata["observation_space"].replace("20", "2000000000")})
+    refuse(dataset, "another shape", tmp_path)
+
+
+def test_a_dataset_makes_no_environment(dataset, tmp_path):
+    """Minari makes that of `env_spec` where a space is missing, whatever function it names."""
+    file = dataset / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+    del metadata["action_space"]
+    spec = {"id": "x-v0", "entry_point": "pathlib:Path.touch", "kwargs": {"self": str(tmp_path / "touched")}}
+    file.write_text(json.dumps({**metadata, "env_spec": json.dumps(spec)}))
+    refuse(dataset, "lacks action_space", tmp_path)
+    assert not (tmp_path / "touched").exists()
+
+
+def test_an_export_with_a_hostile_card_is_refused(demonstrations, tmp_path):
+    file = export_minari(demonstrations, NAME) / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+    for change in ({"attempts": 10**30}, {"kind": "none"}, {"provenance": []}, {"wall_seconds": "\x1b[31m"}):
+        file.write_text(json.dumps({**metadata, "torchgrasp": {**metadata["torchgrasp"], **change}}))
+        refuse(NAME, r"metadata\.json cannot be used \(torchgrasp\.", tmp_path)
+
+
+def open_hdf5(dataset):
+    return pytest.importorskip("h5py").File(dataset / "data" / "main_data.hdf5", "a")
+
+
+def lie_elsewhere(group, secret):
+    del group["rewards"]
+    group.create_dataset("rewards", (3,), "f8", external=[(str(secret), 0, 24)])
+
+
+def link_elsewhere(group, secret):
+    import h5py
+
+    group["infos"] = h5py.ExternalLink(str(secret), "/")
+
+
+def link_itself(group, _):
+    group["observations"]["again"] = group["observations"]
+
+
+def link_softly(group, _):
+    import h5py
+
+    group["infos"] = h5py.SoftLink("/episode_0")
+
+
+def claim_too_much(group, _):
+    del group["rewards"]
+    group.create_dataset("rewards", (10**12,), "f8", chunks=(1000,))
+
+
+def pad_with_zeros(group, _):
+    del group["rewards"]
+    group.create_dataset("rewards", (10**9,), "f8", chunks=(10**6,), compression="gzip")
+    group["rewards"][:1000] = 1.0
+
+
+def hold_texts(group, _):
+    group["infos/words"] = ["any", "length"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lie_elsewhere, "rewards lies in other files"),
+        (link_elsewhere, "infos is a link to elsewhere"),
+        (link_softly, "infos is a link to elsewhere"),
+        (link_itself, "again is there under another name"),
+        (claim_too_much, "would take 8000000000000 bytes, 0 are stored"),
+        (pad_with_zeros, "would take 8000000000 bytes"),
+        (hold_texts, "words holds values of any length"),
+    ],
+)
+def test_hdf5_that_reaches_out_or_claims_too_much_is_refused(dataset, tmp_path, change, told):
+    secret = tmp_path / "secret"
+    secret.write_bytes(bytes(100))
+    with open_hdf5(dataset) as file:
+        change(file["episode_1"], secret)
+    refuse(dataset, told, tmp_path)
+
+
+def test_other_episodes_than_metadata_tells_are_refused(dataset, tmp_path):
+    file = dataset / "data" / "metadata.json"
+    metadata = json.loads(file.read_text())
+    for number in (1, 3, 2**50):
+        file.write_text(json.dumps({**metadata, "total_episodes": number}))
+        refuse(dataset, "holds 2 episodes", tmp_path)
+
+
+@pytest.mark.parametrize(("name", "value"), [("seed", 2.0**70), ("seed", "x"), ("options", 3)])
+def test_attributes_of_other_kinds_are_refused(dataset, tmp_path, name, value):
+    with open_hdf5(dataset) as file:
+        file["episode_1"].attrs[name] = value
+    refuse(dataset, "Episode 1 has|cannot be read", tmp_path)
+
+
+def test_a_damaged_hdf5_file_is_one_line(dataset, tmp_path):
+    file = dataset / "data" / "main_data.hdf5"
+    content = file.read_bytes()
+    for place in range(0, len(content), 97):
+        changed = bytearray(content)
+        changed[place] ^= 0xFF
+        file.write_bytes(changed)
+        shutil.rmtree(tmp_path / "demos", ignore_errors=True)
+        with contextlib.suppress(CheckpointError, ConfigError):
+            import_minari(dataset, tmp_path / "demos")

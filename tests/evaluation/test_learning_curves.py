@@ -118,3 +118,24 @@ def test_table_has_a_row_a_point_with_all_digits(tmp_path):
             ["BC, points", "2000001", repr(1 / 3), "0.1", "3"],
             ["RL", "0.5", "1.0", "", "1"],
         ]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"step,rate\n1,\xff\n",
+        "step,rate\n1,2\n".encode("utf-16"),
+        b"\xef\xbb\xbfstep,rate\n1,2\n",
+        b'step,"rate\n1,2\n' + b"x" * 200_000,
+        b"step,step\n1,2\n",
+        b"rate,loss\n1,2\n",
+        b"\x00" * 100,
+        b"{}",
+    ],
+)
+def test_a_damaged_file_is_one_line(tmp_path, content):
+    (tmp_path / "metrics.csv").write_bytes(content)
+    for read in (read_metrics, lambda run: MetricsLogger(run, resume_step=3)):
+        with pytest.raises(CheckpointError, match=r"metrics\.csv") as error:
+            read(tmp_path)
+        assert "\n" not in str(error.value)

@@ -3,13 +3,14 @@ import os
 import pickle
 import subprocess
 import sys
+import zipfile
 
 import numpy as np
 import pytest
 
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.objects.cache import default_cache_dir
+from torchgrasp.objects.cache import default_cache_dir, refusal_path
 from torchgrasp.objects.families import HELD_OUT, TRAINED
 
 
@@ -63,6 +64,52 @@ def test_a_damaged_file_is_built_again_with_a_warning(tmp_path, damage):
         mended = ProceduralObjects("train", num_objects=1, num_grasps=100, cache_dir=tmp_path)[0]
     assert mended.content_hash == good.content_hash
     assert ProceduralObjects("train", num_objects=1, num_grasps=100, cache_dir=tmp_path)[0] is not mended
+
+
+def rewrite(file, **changes):
+    with np.load(file) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    np.savez(file, **{**arrays, **changes})
+
+
+def claim_terabytes(file):
+    """An array whose header tells of 8 TB."""
+    with zipfile.ZipFile(file, "a") as archive, archive.open("more.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(
+            stream, {"shape": (10**12,), "fortran_order": False, "descr": "<f8"}
+        )
+
+
+def compress(file):
+    with np.load(file) as stored:
+        np.savez_compressed(file, **{name: stored[name] for name in stored.files})
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        claim_terabytes,
+        compress,
+        lambda file: rewrite(file, faces=np.full((4, 3), 10**6, np.int32)),
+        lambda file: rewrite(file, part_sizes=np.array([10**12, 1])),
+        lambda file: rewrite(file, grasps=np.zeros((0, 4, 4), np.float32)),
+    ],
+)
+def test_a_file_of_other_arrays_is_built_again_with_a_warning(tmp_path, damage):
+    good = ProceduralObjects("train", num_objects=1, num_grasps=100, cache_dir=tmp_path)[0]
+    (file,) = tmp_path.glob("*.npz")
+    damage(file)
+    with pytest.warns(UserWarning, match="damaged"):
+        mended = ProceduralObjects("train", num_objects=1, num_grasps=100, cache_dir=tmp_path)[0]
+    assert mended.content_hash == good.content_hash
+
+
+def test_a_damaged_note_of_a_refusal_is_told(tmp_path):
+    objects = ProceduralObjects("train", num_objects=1, num_grasps=100, cache_dir=tmp_path)
+    refusal_path(objects._cache_path(0)).write_bytes(b"\xff\xfe")
+    for ask in (lambda: objects[0], lambda: objects.refusal(0)):
+        with pytest.raises(ObjectError, match=r"refused cannot be used .*delete it"):
+            ask()
 
 
 def _hashes(cache_dir, start, answers):

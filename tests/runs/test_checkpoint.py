@@ -1,4 +1,5 @@
 import copy
+import json
 import os
 import random
 import signal
@@ -15,7 +16,9 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
+from tests.hostile_values import check_each, check_texts
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, MixtureSampler
+from torchgrasp.data.files import describe_file
 from torchgrasp.errors import CheckpointError
 from torchgrasp.runs.checkpoint import has_checkpoint, load_checkpoint, save_checkpoint
 from torchgrasp.runs.seeding import get_rng_state, seed_everything, set_rng_state
@@ -200,7 +203,7 @@ def test_damage_is_found_and_told(tmp_path):
         load_checkpoint(path)
     save()
     (path / "manifest.json").write_text('{"format": 1')
-    with pytest.raises(CheckpointError, match=r"manifest\.json is damaged"):
+    with pytest.raises(CheckpointError, match=r"manifest\.json cannot be used"):
         load_checkpoint(path)
     save()
     assert equal(load_checkpoint(path)["step"], 3)
@@ -253,3 +256,102 @@ def test_the_old_checkpoint_is_found_wherever_the_kill_falls(tmp_path, killed_at
     save_checkpoint(path, {"step": 3})
     assert load_checkpoint(path) == {"step": 3}
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint"]
+
+
+STATE = {
+    "learner": {
+        "net": OrderedDict([("w", torch.zeros(2, 3))]),
+        "groups": [{"lr": 0.1, "betas": (0.9, 0.99)}],
+    },
+    "random": {"numpy": np.arange(4, dtype=np.uint32), "python": (3, (1, 2), None), "cuda": []},
+    "progress": {
+        "iteration": 3,
+        "results": {"before": {"rate": 0.5}},
+        "recent": [True, False],
+    },
+    "kinds": {"size": torch.Size([2]), "dtype": torch.bool, "scalar": np.float32(0.5), "bytes": b"x"},
+    "steps": {0: TensorDict({"x": torch.zeros(2)}, [2])},
+}
+FRESH = copy.deepcopy(STATE) | {"progress": {"iteration": 0, "results": {}, "recent": []}}
+
+
+def renew(path):
+    """Make the manifest tell of the files as they are now."""
+    manifest = json.loads((path / "manifest.json").read_text())
+    files = {name: describe_file(path / name) for name in manifest["files"]}
+    (path / "manifest.json").write_text(json.dumps({**manifest, "files": files}))
+
+
+def test_a_hostile_manifest_is_refused(tmp_path):
+    path = tmp_path / "c"
+    save_checkpoint(path, STATE)
+    file = path / "manifest.json"
+    manifest = json.loads(file.read_text())
+
+    def write(document):
+        file.write_text(json.dumps(document))
+
+    assert check_each(manifest, write, lambda: load_checkpoint(path), free=lambda _: False) > 200
+    for name in ("../c/step.json", "/etc/passwd", "a" * 300, "step\0.json", "\x1b[31m.json"):
+        write({**manifest, "files": {**manifest["files"], name: {"bytes": 1, "crc32": 1}}})
+        with pytest.raises(CheckpointError, match=r"manifest\.json cannot be used") as error:
+            load_checkpoint(path)
+        assert str(error.value).isprintable()
+        write({**manifest, "entries": [*manifest["entries"], name]})
+        with pytest.raises(CheckpointError, match=r"manifest\.json cannot be used"):
+            load_checkpoint(path)
+    check_texts(file, lambda: load_checkpoint(path))
+
+
+@pytest.mark.parametrize("name", STATE)
+def test_hostile_states_with_right_checksums_are_refused(name, tmp_path):
+    path = tmp_path / "c"
+    save_checkpoint(path, STATE)
+    file = path / f"{name}.json"
+
+    def write(document):
+        file.write_text(json.dumps(document))
+        renew(path)
+
+    def free(words):
+        # Results are any table, and what was None before a first step may be a number.
+        return words.startswith(("results", "recent", "random.python.items.2")) or "cuda" in words
+
+    tree = json.loads(file.read_text())
+    assert check_each(tree, write, lambda: load_checkpoint(path, like=FRESH), free=free) > 10
+
+
+def test_a_state_is_of_the_kinds_of_that_which_it_replaces(tmp_path):
+    save_checkpoint(tmp_path / "c", STATE)
+    assert equal(load_checkpoint(tmp_path / "c", like=FRESH), load_checkpoint(tmp_path / "c"))
+    for other, told in [
+        ({**FRESH, "more": 1}, "more"),
+        ({**FRESH, "progress": {**FRESH["progress"], "iteration": 0.5}}, r"progress\.iteration is 3"),
+        ({**FRESH, "learner": {**FRESH["learner"], "net": {}}}, r"learner\.net"),
+        ({**FRESH, "random": {**FRESH["random"], "numpy": np.arange(4.0)}}, r"random\.numpy is uint32"),
+    ]:
+        with pytest.raises(CheckpointError, match=f"another configuration.*{told}"):
+            load_checkpoint(tmp_path / "c", like=other)
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path):
+    save_checkpoint(tmp_path / "c", {"step": 1})
+    deep = []
+    for _ in range(100):
+        deep = [deep]
+    with pytest.raises(CheckpointError, match="nested more than"):
+        save_checkpoint(tmp_path / "c", {"step": deep})
+    assert load_checkpoint(tmp_path / "c") == {"step": 1}
+
+
+def test_tensors_that_no_state_names_are_told(tmp_path):
+    path = tmp_path / "c"
+    save_checkpoint(path, {"net": {"w": torch.zeros(2)}, "step": 3})
+    (path / "step.safetensors").write_bytes((path / "net.safetensors").read_bytes())
+    with pytest.raises(CheckpointError, match=r"step\.safetensors is no part"):
+        load_checkpoint(path)
+    (path / "step.safetensors").unlink()
+    (path / "net.json").write_text("{}")
+    renew(path)
+    with pytest.raises(CheckpointError, match="nothing refers to its tensor 'w'"):
+        load_checkpoint(path)

@@ -1,7 +1,9 @@
+import json
 import shutil
 
 import pytest
 
+from tests.hostile_values import check_each, check_texts
 from torchgrasp.errors import CheckpointError
 from torchgrasp.runs.sweep_record import (
     SweepJob,
@@ -59,3 +61,33 @@ def test_a_damaged_record_is_named(tmp_path):
     (tmp_path / "job_0.json").write_text("{")
     with pytest.raises(CheckpointError, match=r"job_0\.json"):
         read_sweep(tmp_path)
+
+
+def test_hostile_records_are_refused(tmp_path):
+    write_job(tmp_path, SweepJob(0, ("seed=0",), tmp_path / "run", failure="out of memory"))
+    file = tmp_path / "job_0.json"
+    record = json.loads(file.read_text())
+
+    def write(document):
+        file.write_text(json.dumps(document))
+
+    def free(words):  # that it has no run yet, or no failure
+        return words in ("run_dir: null", "failure: null", "overrides: list", "overrides.0: left out")
+
+    assert check_each(record, write, lambda: read_sweep(tmp_path), free=free) > 40
+    for name in ("/etc", "a" * 5000, "run\0"):
+        write({**record, "run_dir": name})
+        with pytest.raises(CheckpointError, match=r"job_0\.json cannot be used"):
+            read_sweep(tmp_path)
+    check_texts(file, lambda: read_sweep(tmp_path))
+
+
+def test_files_of_other_names_are_no_jobs(tmp_path):
+    write_job(tmp_path, SweepJob(0, ("seed=0",)))
+    (tmp_path / "job_one.json").write_text("{")
+    assert [job.number for job in read_sweep(tmp_path)] == [0]
+
+
+def test_what_a_failure_hides_from_the_eye_is_escaped(tmp_path):
+    write_job(tmp_path, SweepJob(0, (), failure="no mesh \x1b[2J\udcff.stl"))
+    assert read_job(tmp_path, 0).failure == r"no mesh \x1b[2J\udcff.stl"

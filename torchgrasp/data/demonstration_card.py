@@ -147,7 +147,7 @@ def check_format(path: Path, number: object) -> None:
     if number != FORMAT:
         raise CheckpointError(
             f"{path} holds demonstrations of format {shorten(number)}, this torchgrasp reads format "
-            f"{FORMAT}: collect them again into another folder, or read them with a torchgrasp of their format."
+            f"{FORMAT}: collect them again into another folder, or read them with a torchgrasp of theirs."
         )
 
 

@@ -196,9 +196,24 @@ class MixtureStorage(StateFiles, Storage):
             )
         self._empty()
         for name, columns in state_dict["rows"].items():
+            self._check_columns(name, columns)
             rows = TensorDict(columns, [next(iter(columns.values())).shape[0]]).unflatten_keys(".")
             self._regions[name].set(slice(0, rows.shape[0]), rows)
         self._bump_mutation_revision()
+
+    def _check_columns(self, name: str, columns: Any) -> None:
+        """Refuse columns that are no rows of the source `name`, before any are written."""
+        tensors = columns.values() if isinstance(columns, Mapping) else [None]
+        sizes = {len(each) if isinstance(each, Tensor) and each.ndim else -1 for each in tensors}
+        if len(sizes) != 1 or not 0 < max(sizes) <= self.capacities.get(name, 0):
+            raise ConfigError(
+                f"rows[{name!r}] are no columns of equal length, up to the source's capacity: load what "
+                "state_dict gave."
+            )
+        links = columns.get(SUCCESSOR, torch.zeros(0, dtype=torch.int64))
+        known = links.dtype == torch.int64 and bool(((links >= 0) & (links < self.max_size)).all())
+        if not known or (SUCCESSOR in columns) != bool(self._next_keys):
+            raise ConfigError(f"rows[{name!r}] have other links than this storage: build it as it was saved.")
 
 
 def keep_batch(batch: TensorDictBase) -> TensorDictBase:

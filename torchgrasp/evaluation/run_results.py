@@ -37,13 +37,13 @@ class RunConfig(OpenDocument):
 
     __pydantic_extra__: dict[str, Any] = Field(init=False)
     seed: Whole | None = None
-    evaluation: dict[str, Any] = {}
-    objects: dict[str, Any] = {}
-    env: dict[str, Any] = {}
+    evaluation: dict[str, Any] = Field({})
+    objects: dict[str, Any] = Field({})
+    env: dict[str, Any] = Field({})
 
 
 class _Objects(OpenDocument):
-    objects: dict[Name, ObjectRow] = {}
+    objects: dict[Name, ObjectRow] = Field({})
 
 
 class _Success(OpenDocument):

@@ -15,6 +15,7 @@ from torchgrasp.data.files import FileRecord, check_file, describe_file, find_fo
 from torchgrasp.data.state_files import read_state, write_state
 from torchgrasp.documents import Document, Name, check_document, read_json, shorten
 from torchgrasp.errors import CheckpointError
+from torchgrasp.runs.state_likeness import find_unlike
 
 _MANIFEST = "manifest.json"
 # 2: what a learner, its run and its buffer hold stand in entries of their own.
@@ -60,11 +61,27 @@ def save_checkpoint(path: str | Path, state: Mapping[str, Any]) -> None:
         (folder / _MANIFEST).write_text(json.dumps(manifest.model_dump(), indent=2))
 
 
-def load_checkpoint(path: str | Path) -> dict[str, Any]:
+def load_checkpoint(path: str | Path, *, like: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Read what `save_checkpoint` wrote, tensors on the CPU; CheckpointError says what is wrong with it.
 
     A run may replace the checkpoint meanwhile: what is read is one of the two, whole.
+
+    Args:
+        path: the folder.
+        like: the state that is to be replaced, in the form in which it would be saved; what is read must
+            have the same kinds of values, see `find_unlike`. Not compared if None.
     """
+    state = _load_latest(path)
+    unlike = None if like is None else find_unlike(state, dict(like))
+    if unlike is not None:
+        raise CheckpointError(
+            f"{path} is of another configuration, or damaged ({unlike}): resume the run as it was begun, or "
+            f"{_REMEDY}."
+        )
+    return state
+
+
+def _load_latest(path: str | Path) -> dict[str, Any]:
     error = CheckpointError(f"{path} is replaced faster than it can be read: pause the run that writes it.")
     for _ in range(_MAX_READS):
         folder = find_folder(path)

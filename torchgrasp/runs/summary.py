@@ -44,4 +44,4 @@ class Summary(OpenDocument):
     gradient_steps: Count
     versions: dict[Name, Name]
     hardware: dict[Name, JsonValue]
-    comparison: dict[Name, Plain] = {}
+    comparison: dict[Name, Plain] = Field({})

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torch.optim import Optimizer
 
 from torchgrasp.modules.policy import join_policy
@@ -90,6 +91,7 @@ class ImitationLearner:
         for name, network in self.networks.items():
             network.load_state_dict(state["networks"][name])
             self.optimizers[name].load_state_dict(state["optimizers"][name])
+            _check_optimizer(self.optimizers[name])
 
     def _update_goal_network(self, batch: TensorDictBase) -> None:
         """Grasp prediction alone, on the labels."""
@@ -104,3 +106,16 @@ class ImitationLearner:
         torch.stack(losses).sum().backward()
         optimizer.step()
         self._terms.add(name, terms)
+
+
+def _check_optimizer(optimizer: Optimizer) -> None:
+    """ValueError unless every parameter has the same moments, each as large as it, or a count of steps."""
+    names: set[str] = set()
+    for parameter, state in optimizer.state.items():
+        if not isinstance(parameter, Tensor) or not isinstance(state, dict):
+            raise ValueError("the optimizer has moments of no parameter")
+        names = names or set(state)
+        shapes = (parameter.shape, torch.Size([]))
+        fit = all(isinstance(value, Tensor) and value.shape in shapes for value in state.values())
+        if not fit or set(state) != names or not all(bool(each.isfinite().all()) for each in state.values()):
+            raise ValueError(f"the optimizer has other moments than {sorted(map(str, names))}")

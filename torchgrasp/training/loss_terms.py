@@ -51,4 +51,10 @@ class MeanTerms:
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Take up what `state_dict` gave."""
-        self._sums, self._counts = dict(state["sums"]), dict(state["counts"])
+        sums, counts = dict(state["sums"]), dict(state["counts"])
+        for name, value in sums.items():
+            if not isinstance(value, Tensor) or value.shape or not isinstance(counts.get(name), int):
+                raise ValueError(f"{name} is no sum of a loss term")
+        if counts.keys() != sums.keys() or min(counts.values(), default=1) < 1:
+            raise ValueError("sums and counts of other loss terms")
+        self._sums, self._counts = sums, counts

@@ -29,6 +29,7 @@ from torchgrasp.data.minari.columns import check_alike
 from torchgrasp.data.minari.dataset_files import CARD, REMEDY, check_hdf5, read_metadata
 from torchgrasp.data.minari.episode_columns import columns_to_rows, make_space, rows_to_columns
 from torchgrasp.data.shards import append_rows
+from torchgrasp.documents import shorten
 from torchgrasp.errors import CheckpointError, ConfigError, printable
 
 _SHARD_EPISODES = 28
@@ -202,7 +203,7 @@ def _read_episodes(
         options, seed = told.get("options", {}), told.get("seed") or 0
         if not isinstance(options, dict) or not -(2**63) <= seed < 2**63:
             raise ConfigError(
-                f"Episode {number} has options {options!r} and the seed {seed}: mend the dataset."
+                f"Episode {number} has options {shorten(options)} and the seed {seed}: mend the dataset."
             )
         rows = columns_to_rows(episode, codec, ours=ours)
         first = check_alike(number, rows, first)
