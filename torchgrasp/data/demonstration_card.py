@@ -10,7 +10,18 @@ from pydantic import AfterValidator
 
 from torchgrasp.data.demonstration_kinds import check_kind
 from torchgrasp.data.files import read_sealed_json, seal_json, write_text_atomically
-from torchgrasp.documents import Amount, Count, Document, Name, Plain, Rate, Whole, check_document, shorten
+from torchgrasp.documents import (
+    Amount,
+    Count,
+    Document,
+    Name,
+    Plain,
+    Rate,
+    Whole,
+    check_document,
+    reading,
+    shorten,
+)
 from torchgrasp.errors import CheckpointError, ConfigError, DamageError
 
 FORMAT = 2
@@ -79,7 +90,9 @@ def begin_demonstrations(
         The card.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
+    with reading(path, _REMEDY):
+        there = path.exists()
+    if there and not path.is_dir():
         raise ConfigError(f"{path} is a file: give a folder for demonstrations.")
     if any(path.glob("*.json")) or any(path.glob("shard_[0-9]*")):
         card = read_card(path)

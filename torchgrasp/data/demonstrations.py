@@ -27,7 +27,7 @@ from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.demonstration_card import add_to_card, empty_card, read_card, write_card
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage
-from torchgrasp.data.shards import EpisodeRecord, find_shards, load_rows, read_shard, shard_name
+from torchgrasp.data.shards import EpisodeRecord, find_shards, open_shard, shard_name
 from torchgrasp.data.storage import keep_batch
 from torchgrasp.documents import reading
 from torchgrasp.errors import CheckpointError, ConfigError, DamageError
@@ -131,14 +131,15 @@ def open_demonstrations(path: str | Path, *, verify: bool = True) -> Demonstrati
     _list_folder(path)
     folders = find_shards(path)
     told = read_card(path)
-    metadata = [read_shard(folder, verify=verify) for folder in folders]
+    opened = [open_shard(folder, verify=verify) for folder in folders]
+    metadata = [shard.model_dump() for shard, _ in opened]
     _check_card(path, told, metadata)
     if not folders:
         raise CheckpointError(f"{path} holds no shard of demonstrations yet: go on collecting.")
     return Demonstrations(
         path,
-        tuple(load_rows(folder) for folder in folders),
-        tuple(tuple(EpisodeRecord(**record) for record in shard["episodes"]) for shard in metadata),
+        tuple(rows for _, rows in opened),
+        tuple(tuple(shard.episodes) for shard, _ in opened),
         _summarise(told, metadata),
     )
 
@@ -163,7 +164,7 @@ def drop_damaged_shards(path: str | Path) -> list[str]:
         if folder.name != shard_name(number):
             break
         try:
-            whole.append(read_shard(folder, verify=True))
+            whole.append(open_shard(folder, verify=True)[0].model_dump())
         except DamageError:
             break
     dropped = folders[len(whole) :]

@@ -191,7 +191,7 @@ def _current_card(path: Path, folders: Sequence[Path]) -> dict[str, Any]:
     begun = bool(folders) or (path.is_dir() and any(path.glob("*.json")))
     card = read_card(path) if begun else begin_demonstrations(path)
     for folder in folders[card["shards"] :]:
-        card = add_to_card(card, read_shard(folder, verify=False))
+        card = add_to_card(card, open_shard(folder, verify=False)[0].model_dump())
     return card
 
 
@@ -221,11 +221,11 @@ def find_shards(path: Path) -> list[Path]:
     return folders
 
 
-def read_shard(folder: Path, *, verify: bool) -> dict[str, Any]:
-    """What shard.json says of the shard in `folder`, once its files are as it says.
+def open_shard(folder: Path, *, verify: bool) -> tuple[Shard, TensorDictBase]:
+    """What shard.json says of the shard in `folder`, and its rows (R), mapped; see `map_rows`.
 
     With `verify` every byte is read, and what is told of the rows is compared with them; without it, sizes
-    are compared.
+    are compared. DamageError names a file that is not as it was written.
     """
     remedy = _describe_remedy(folder.parent)
     told = read_sealed_json(folder / _SHARD, remedy)
@@ -234,10 +234,11 @@ def read_shard(folder: Path, *, verify: bool) -> dict[str, Any]:
     for name, expected in shard.files.items():
         check_file(folder / name, expected, remedy, checksum=verify)
     _refuse_others(folder, shard, remedy)
-    rows = load_rows(folder)
+    rows = map_rows(folder / _ROWS, remedy)
+    check_columns(rows, folder / _ROWS, remedy)
     if len(rows) != shard.sums.rows or (verify and not _tells_of(shard, rows)):
         raise DamageError(f"{folder / _SHARD} tells of other rows than those in {_ROWS}: {remedy}.")
-    return shard.model_dump()
+    return shard, rows
 
 
 def _refuse_others(folder: Path, shard: Shard, remedy: str) -> None:
@@ -256,14 +257,6 @@ def _tells_of(shard: Shard, rows: TensorDictBase) -> bool:
     successes = rows[keys.EPISODE_SUCCESS][lasts].flatten().tolist()
     counts = {name: getattr(shard.sums, name) for name in COUNTS}
     return successes == [record.success for record in shard.episodes] and counts == _count_rows(rows)
-
-
-def load_rows(folder: Path) -> TensorDictBase:
-    """Rows (R) of the shard in `folder`, memory-mapped; without a key where there are none."""
-    remedy = _describe_remedy(folder.parent)
-    rows = map_rows(folder / _ROWS, remedy)
-    check_columns(rows, folder / _ROWS, remedy)
-    return rows
 
 
 def _versions() -> dict[str, str]:

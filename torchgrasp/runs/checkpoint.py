@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 import torchgrasp
 from torchgrasp.data.files import FileRecord, check_file, describe_file, find_folder, replace_folder
 from torchgrasp.data.state_files import read_state, write_state
-from torchgrasp.documents import Document, Name, check_document, read_json, shorten
+from torchgrasp.documents import Document, Name, check_document, read_json, reading, shorten
 from torchgrasp.errors import CheckpointError
 from torchgrasp.runs.state_likeness import find_unlike
 
@@ -71,6 +71,8 @@ def load_checkpoint(path: str | Path, *, like: Mapping[str, Any] | None = None) 
         like: the state that is to be replaced, in the form in which it would be saved; what is read must
             have the same kinds of values, see `find_unlike`. Not compared if None.
     """
+    with reading(Path(path), _REMEDY):
+        Path(path).exists()
     state = _load_latest(path)
     unlike = None if like is None else find_unlike(state, dict(like))
     if unlike is not None:
@@ -135,7 +137,9 @@ def check_format(path: str | Path) -> None:
 
 def _read_manifest(folder: Path) -> Manifest:
     file = folder / _MANIFEST
-    if not file.exists():
+    with reading(file, _REMEDY):
+        there = file.exists()
+    if not there:
         raise CheckpointError(f"There is no checkpoint at {folder} (no {_MANIFEST}): name a run directory's.")
     manifest = read_json(file, _REMEDY)
     version = manifest.get("format", _FORMAT) if isinstance(manifest, dict) else _FORMAT
