@@ -211,10 +211,12 @@ def _check_tree(value: Any) -> None:
 
 def _tell(error: ValidationError) -> str:
     """The first fault and its place."""
-    fault = error.errors(include_url=False)[0]
+    faults = error.errors(include_url=False)
+    missing = [".".join(map(str, each["loc"])) for each in faults if each["type"] == "missing"]
+    fault = faults[0]
     place = ".".join(map(str, fault["loc"]))[:200] or "it"
     if fault["type"] == "missing":
-        return f"it lacks {place}"
+        return f"it lacks {', '.join(missing)[:200]}"
     if fault["type"] == "extra_forbidden":
         return f"{place} is no entry of it"
     reason = fault["msg"].removeprefix("Value error, ").removeprefix("Input should be ")

@@ -57,5 +57,5 @@ def test_tensors_of_a_state_written_before_are_gone(tmp_path):
 
 
 def test_a_folder_without_state_is_named_with_the_remedy(tmp_path):
-    with pytest.raises(CheckpointError, match=r"state cannot be read.*dumps has written"):
+    with pytest.raises(CheckpointError, match=r"state\.json is missing.*dumps has written"):
         make_buffer().loads(tmp_path)

@@ -64,6 +64,7 @@ def test_a_damaged_record_is_named(tmp_path):
 
 
 def test_hostile_records_are_refused(tmp_path):
+    (tmp_path / "run").mkdir()
     write_job(tmp_path, SweepJob(0, ("seed=0",), tmp_path / "run", failure="out of memory"))
     file = tmp_path / "job_0.json"
     record = json.loads(file.read_text())

@@ -73,7 +73,7 @@ class Demonstrations:
 
     def iterate_episodes(self, codec: CompactTransitions | None = None) -> Iterator[TensorDictBase]:
         """Episodes (T), decoded, with ("next", ...), in the order in which they were appended."""
-        codec = codec or CompactTransitions()
+        codec = self._choose(codec)
         for _, rows in self.iterate_episode_rows():
             yield decode_episode(rows, codec)
 
@@ -97,7 +97,7 @@ class Demonstrations:
             seed: of the draws.
             prefetch: batches that a background thread draws ahead.
         """
-        codec = codec or CompactTransitions()
+        codec = self._choose(codec)
         storage = ShardStorage(tuple(self.iterate_rows()), next_keys=codec.observation_keys, count=count)
         return TensorDictReplayBuffer(
             storage=storage,
@@ -108,6 +108,15 @@ class Demonstrations:
             prefetch=prefetch,
             generator=torch.Generator().manual_seed(seed),
         )
+
+    def _choose(self, codec: CompactTransitions | None) -> CompactTransitions:
+        """`codec` or the usual one, once the rows have what it decodes."""
+        codec = codec or CompactTransitions()
+        for rows in self.iterate_rows():
+            lacking = [key for key in codec.observation_keys if rows.get(key, None) is None]
+            if lacking:
+                raise ConfigError(f"{self.path} has no {lacking}: give the codec= that it was written with.")
+        return codec
 
 
 def decode_episode(rows: TensorDictBase, codec: CompactTransitions) -> TensorDictBase:

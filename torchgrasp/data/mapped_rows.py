@@ -88,18 +88,22 @@ def _map_group(folder: Path, remedy: str, parts: list[str]) -> TensorDict:
     columns = {name: meta.pop(name) for name, value in list(meta.items()) if isinstance(value, dict)}
     told = check_document(meta, RowsMeta, file, remedy, error=DamageError)
     with reading(folder, remedy):
-        # Names as they are in keys, of which some characters are escaped in files.
-        found = {unquote(each.name): each for each in folder.iterdir()}
+        # Names as they are in keys, of which some characters are escaped in files; hidden files are systems'.
+        found = {unquote(each.name): each for each in folder.iterdir() if each.name[0] != "."}
+    found.pop(_META, None)
     tensors: dict[str, Tensor | TensorDict] = {}
     for name, value in columns.items():
+        place = f"{file}: {shorten(name)}"
         if "type" in value:
-            check_document(value, Group, f"{file}: {shorten(name)}", remedy, error=DamageError)
-            tensors[name] = _map_group(found.get(name, folder / "no such folder"), remedy, [*parts, name])
+            check_document(value, Group, place, remedy, error=DamageError)
+            if name not in found:
+                raise DamageError(f"{place}: its folder is missing: {remedy}.")
+            tensors[name] = _map_group(found.pop(name), remedy, [*parts, name])
         else:
-            column = check_document(value, Column, f"{file}: {shorten(name)}", remedy, error=DamageError)
-            tensors[name] = _map_column(
-                found.get(f"{name}.memmap"), column, f"{file}: {shorten(name)}", remedy
-            )
+            column = check_document(value, Column, place, remedy, error=DamageError)
+            tensors[name] = _map_column(found.pop(f"{name}.memmap", None), column, place, remedy)
+    if found:
+        raise DamageError(f"{file} tells nothing of {shorten(sorted(found))} beside it: {remedy}.")
     try:
         return TensorDict(tensors, told.shape, device=None if told.device == "None" else told.device)
     except RuntimeError as error:
@@ -142,6 +146,9 @@ def check_columns(rows: TensorDictBase, folder: Path, remedy: str) -> None:
         if not isinstance(value, Tensor) or value.ndim != 2 or not _fits(name, value):
             found = f"{value.dtype} of shape {list(value.shape)}" if isinstance(value, Tensor) else "nothing"
             raise DamageError(f"{folder} has {found} as {name!r}: {remedy}.")
+    left = rows.get(keys.TIME_LEFT, None)
+    if left is not None and left.ndim != 2:
+        raise DamageError(f"{folder} has {keys.TIME_LEFT!r} of shape {list(left.shape)}: {remedy}.")
     if not bool((rows["terminated"] | rows[STUB])[-1]):
         raise DamageError(f"{folder} ends within an episode: {remedy}.")
 

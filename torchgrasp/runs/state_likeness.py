@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from torchgrasp.documents import shorten
@@ -17,9 +18,9 @@ _MOST = 2**53
 def find_unlike(found: Any, like: Any, place: str = "it") -> str | None:
     """Where a nested state `found` cannot take the place of `like`, in words; None where it can.
 
-    Types are the same, and so are the names in a dictionary, the length of a list, and a tensor's dtype and
-    shape but for its first size. What is empty or None in `like`, as before a first step, may be filled;
-    numbers that begin at 0 or more are finite and stay so.
+    Types are the same, and so are the names in a dictionary, the length of a list (unless of tensors alone),
+    and a tensor's dtype and shape but for its first size. What is empty or None in `like`, as before a first
+    step, may be filled; numbers that begin at 0 or more are finite and stay so.
 
     >>> find_unlike({"step": -3}, {"step": 0})
     'step is -3'
@@ -28,6 +29,9 @@ def find_unlike(found: Any, like: Any, place: str = "it") -> str | None:
         return None if found is None or isinstance(found, int | float | str) else _tell(found, place)
     if not (isinstance(found, Tensor) and isinstance(like, Tensor)) and type(found) is not type(like):
         return _tell(found, place)
+    if isinstance(like, TensorDictBase):
+        same = found.batch_size[1:] == like.batch_size[1:] and found.ndim == like.ndim
+        return _find_in_dict(dict(found.items()), dict(like.items()), place) if same else _tell(found, place)
     if isinstance(like, dict):
         return _find_in_dict(found, like, place)
     if isinstance(like, list | tuple):
@@ -50,8 +54,8 @@ def _find_in_dict(found: dict[Any, Any], like: dict[Any, Any], place: str) -> st
 
 
 def _find_in_list(found: Any, like: Any, place: str) -> str | None:
-    if not found or not like:
-        return None
+    if not like or all(isinstance(each, Tensor) for each in (*found, *like)):
+        return None  # of as many devices as there were
     if len(found) != len(like):
         return f"{place} has {len(found)} entries instead of {len(like)}"
     pairs = enumerate(zip(found, like, strict=True))

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, JsonValue
+from pydantic import BeforeValidator, Field, JsonValue
 
 from torchgrasp.documents import Amount, Count, Name, OpenDocument, Plain, Rate
 
-# Read from JSON as a list, given as a list or a pair.
-_Interval = Annotated[tuple[Rate, Rate], Field(strict=False)]
+
+def _as_list(value: Any) -> Any:
+    return list(value) if isinstance(value, tuple) else value
+
+
+# Given as a list or a pair, a list in JSON.
+_Interval = Annotated[list[Rate], BeforeValidator(_as_list), Field(min_length=2, max_length=2)]
 
 
 class ObjectRow(OpenDocument):
