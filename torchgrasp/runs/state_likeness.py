@@ -19,14 +19,16 @@ def find_unlike(found: Any, like: Any, place: str = "it") -> str | None:
     """Where a nested state `found` cannot take the place of `like`, in words; None where it can.
 
     Types are the same, and so are the names in a dictionary, the length of a list (unless of tensors alone),
-    and a tensor's dtype and shape but for its first size. What is empty or None in `like`, as before a first
-    step, may be filled; numbers that begin at 0 or more are finite and stay so.
+    and a tensor's dtype and shape but for its first size. What is empty in `like`, as before a first step,
+    may be filled, a list with plain values of one type; what is None may be a number. Numbers that begin at 0
+    or more are finite and stay so.
 
     >>> find_unlike({"step": -3}, {"step": 0})
     'step is -3'
     """
     if like is None:
-        return None if found is None or isinstance(found, int | float | str) else _tell(found, place)
+        known = found is None or (type(found) is float and abs(found) <= _MOST)
+        return None if known else _tell(found, place)
     if not (isinstance(found, Tensor) and isinstance(like, Tensor)) and type(found) is not type(like):
         return _tell(found, place)
     if isinstance(like, TensorDictBase):
@@ -54,8 +56,11 @@ def _find_in_dict(found: dict[Any, Any], like: dict[Any, Any], place: str) -> st
 
 
 def _find_in_list(found: Any, like: Any, place: str) -> str | None:
-    if not like or all(isinstance(each, Tensor) for each in (*found, *like)):
+    if all(isinstance(each, Tensor) for each in (*found, *like)):
         return None  # of as many devices as there were
+    if not like:
+        alike = any(all(type(each) is kind for each in found) for kind in (bool, int, float, str))
+        return None if alike else _tell(found, place)
     if len(found) != len(like):
         return f"{place} has {len(found)} entries instead of {len(like)}"
     pairs = enumerate(zip(found, like, strict=True))

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, JsonValue
 
-from torchgrasp.documents import Amount, Count, Name, OpenDocument, Plain, Rate
+from torchgrasp.documents import Amount, Count, Name, OpenDocument, Rate
 
 
 def _as_list(value: Any) -> Any:
@@ -24,14 +24,26 @@ class ObjectRow(OpenDocument):
     successes: Count
 
 
-class Summary(OpenDocument):
-    """What every recipe that evaluates tells; some tell more.
+class Success(OpenDocument):
+    """A success table, as SuccessTable.summary tells it.
 
     Attributes:
         success_rate: in [0, 1].
         success_ci95: the ends of its 95 % interval.
         episodes: that it was measured on.
         objects: by name.
+    """
+
+    success_rate: Rate
+    success_ci95: _Interval
+    episodes: Count
+    objects: dict[Name, ObjectRow]
+
+
+class Summary(Success):
+    """What every recipe that evaluates tells; some tell more.
+
+    Attributes:
         wall_seconds: of the whole run.
         env_steps: of training, or of the evaluation.
         gradient_steps: of training.
@@ -40,13 +52,9 @@ class Summary(OpenDocument):
         comparison: success tables of the policy and of others, by name.
     """
 
-    success_rate: Rate
-    success_ci95: _Interval
-    episodes: Count
-    objects: dict[Name, ObjectRow]
     wall_seconds: Amount
     env_steps: Count
     gradient_steps: Count
     versions: dict[Name, Name]
     hardware: dict[Name, JsonValue]
-    comparison: dict[Name, Plain] = Field({})
+    comparison: dict[Name, Success] = Field({})
