@@ -137,6 +137,7 @@ def test_damaged_and_diverged_runs_are_named(tmp_path):
     (run / "summary.json").write_text(json.dumps({**success_table(5), "wall_seconds": 1.0, "env_steps": 3}))
     with pytest.raises(CheckpointError, match="gradient_steps"):
         read_result(run)
-    (run / "config.yaml").unlink()
-    with pytest.raises(CheckpointError, match=r"config\.yaml"):
-        read_result(run)
+    other = write_run(tmp_path / "other", 0, 5)
+    (other / "config.yaml").unlink()
+    with pytest.raises(CheckpointError, match=r"config\.yaml is missing"):
+        read_result(other)

@@ -41,6 +41,10 @@ class _Items(Document):
     items: list[Any]
 
 
+class _Sizes(Document):
+    items: list[Count]
+
+
 class _Pairs(Document):
     items: list[Annotated[list[Any], Field(min_length=2, max_length=2)]]
 
@@ -161,7 +165,8 @@ def _unpack_scalar(node: _Scalar) -> np.generic:
     if dtype.kind not in "biuf":
         raise TypeError("no number")
     number = dtype.type(node.value)
-    if number.item() != node.value and node.value == node.value:
+    same = number.item() == node.value or node.value != node.value
+    if not same or type(number.item()) is not type(node.value):
         raise TypeError("no such number")
     return number
 
@@ -194,7 +199,7 @@ _KINDS: dict[str, tuple[type[Document], Callable[[Any, dict[str, Tensor]], Any]]
     "device": (_Word, lambda node, _: torch.device(node.value)),
     "dtype": (_Word, lambda node, _: _unpack_dtype(node)),
     "tuple": (_Items, lambda node, left: tuple(_unpack(node.items, left))),
-    "size": (_Items, lambda node, _: torch.Size(node.items)),
+    "size": (_Sizes, lambda node, _: torch.Size(node.items)),
     "dict": (_Pairs, lambda node, left: dict(_unpack_pairs(node, left))),
     "ordered": (_Pairs, lambda node, left: OrderedDict(_unpack_pairs(node, left))),
 }

@@ -16,7 +16,6 @@ from torchgrasp.documents import (
     Name,
     OpenDocument,
     Rate,
-    Whole,
     check_document,
     read_document,
     read_yaml,
@@ -36,7 +35,7 @@ class RunConfig(OpenDocument):
     """What of a run's config.yaml is compared with other runs'; sections may be absent."""
 
     __pydantic_extra__: dict[str, Any] = Field(init=False)
-    seed: Whole | None = None
+    seed: Count | None = None
     evaluation: dict[str, Any] = Field({})
     objects: dict[str, Any] = Field({})
     env: dict[str, Any] = Field({})

@@ -41,6 +41,8 @@ def find_unlike(found: Any, like: Any, place: str = "it") -> str | None:
     if isinstance(like, Tensor | np.ndarray):
         same = found.dtype == like.dtype and found.shape[1:] == like.shape[1:] and found.ndim == like.ndim
         return None if same else f"{place} is {found.dtype} of shape {list(found.shape)}"
+    if isinstance(like, np.generic):
+        found, like = found.item(), like.item()
     if isinstance(like, int | float) and not isinstance(like, bool):
         return None if _could_be(found, like) else _tell(found, place)
     return None
