@@ -47,8 +47,8 @@ def benchmark(cfg: DictConfig) -> dict:
         prepare_objects(cfg, "train")
     result = {"suite": cfg.suite, "rows": _SUITES[cfg.suite](cfg)}
     result |= {"hardware": hardware(), "versions": versions()}
-    run_dir = make_run_dir("benchmark", root=cfg.output_dir)
-    (run_dir / "benchmark.json").write_text(json.dumps(result, indent=2))
+    files = {"benchmark.json": json.dumps(result, indent=2)}
+    run_dir = make_run_dir("benchmark", root=cfg.output_dir, files=files)
     print(f"Written to {run_dir}/benchmark.json")
     return result
 

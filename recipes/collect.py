@@ -22,6 +22,8 @@ from torchgrasp.config import (
     prepare_objects,
     recipe_main,
 )
+from torchgrasp.data.files import try_folder
+from torchgrasp.interruption import noted
 
 
 def run(cfg: DictConfig) -> dict:
@@ -29,7 +31,8 @@ def run(cfg: DictConfig) -> dict:
     path = Path(cfg.demonstrations.path or Path(cfg.output_dir) / "demonstrations")
     check_training(cfg)
     make_row(build(cfg.replay.codec), None, observed_shapes(cfg))  # refuses what cannot be kept
-    with make_pool(cfg) as pool:
+    try_folder(path)
+    with noted(f"The same command goes on with the whole shards in {path}."), make_pool(cfg) as pool:
         prepare_objects(cfg, "train")
         card = collect(cfg, pool, path)
     print(

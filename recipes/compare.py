@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from torchgrasp.config import Comparison, check_values, one_line_errors, plain, recipe_main
+from torchgrasp.config import Comparison, check_values, one_line_errors, open_run_dir, plain, recipe_main
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.comparison import GroupRow, compare_runs
 from torchgrasp.evaluation.run_groups import find_groups
 from torchgrasp.evaluation.run_results import RunResult, read_result
 from torchgrasp.report.comparison_page import to_text, write_comparison
-from torchgrasp.runs import make_run_dir
 from torchgrasp.runs.sweep_record import read_failure
 
 
@@ -25,8 +24,7 @@ def compare(cfg: DictConfig) -> list[GroupRow]:
     check_values(cfg, Comparison)
     groups = find_groups(plain(cfg.runs), label="all runs", holding="config.yaml")
     rows = compare_runs({label: _read(runs, cfg.key) for label, runs in groups.items()})
-    folder = make_run_dir("compare", root=cfg.output_dir)
-    OmegaConf.save(cfg, folder / "config.yaml", resolve=True)
+    folder = open_run_dir(cfg, "compare")
     written = write_comparison(folder, rows, title=cfg.title or _title(groups, cfg.key))
     print(to_text(rows))
     print(f"Written to {folder}: {', '.join(path.name for path in written)}")

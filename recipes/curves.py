@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from torchgrasp.config import Curves, check_values, one_line_errors, plain, recipe_main
+from torchgrasp.config import Curves, check_values, one_line_errors, open_run_dir, plain, recipe_main
+from torchgrasp.data.files import write_bytes_atomically, write_text_atomically
 from torchgrasp.evaluation.learning_curves import (
     LearningCurve,
     average_curves,
@@ -19,7 +20,6 @@ from torchgrasp.evaluation.learning_curves import (
 )
 from torchgrasp.evaluation.run_groups import find_groups
 from torchgrasp.report.plots import can_plot, plot_curves, to_png, to_svg
-from torchgrasp.runs import make_run_dir
 
 
 def draw(cfg: DictConfig) -> dict[str, LearningCurve]:
@@ -27,14 +27,13 @@ def draw(cfg: DictConfig) -> dict[str, LearningCurve]:
     check_values(cfg, Curves)
     groups = find_groups(plain(cfg.runs), label=str(cfg.metric), holding="metrics.csv")
     curves = {label: _average(cfg, group) for label, group in groups.items()}
-    folder = make_run_dir("curves", root=cfg.output_dir)
-    OmegaConf.save(cfg, folder / "config.yaml", resolve=True)
+    folder = open_run_dir(cfg, "curves")
     write_curves_csv(folder / "curves.csv", curves, x=cfg.x)
     written = ["curves.csv"]
     if can_plot():
         figure = plot_curves(curves, x=cfg.x, y=cfg.metric)
-        (folder / "curves.svg").write_text(to_svg(figure))
-        (folder / "curves.png").write_bytes(to_png(figure))
+        write_text_atomically(folder / "curves.svg", to_svg(figure))
+        write_bytes_atomically(folder / "curves.png", to_png(figure))
         written += ["curves.svg", "curves.png"]
     else:
         print('No pictures: they need the extra viz, pip install "torchgrasp[viz]".')

@@ -28,6 +28,7 @@ from torchgrasp.config import (
     recipe_main,
     write_page,
 )
+from torchgrasp.data.files import try_folder
 from torchgrasp.evaluation.success_rate import evaluate_policy
 from torchgrasp.report import console
 from torchgrasp.report.episode_pictures import FailurePictures, GraspPictures
@@ -43,6 +44,7 @@ def evaluate(cfg: DictConfig) -> dict:
     if cfg.video.episodes:
         check_video_tools()
     observed_shapes(cfg)
+    try_folder(cfg.output_dir)
     name, scenes = str(cfg.policy), describe_scenes(cfg)
     policy = make_policy(cfg, name)
     predictors = make_predictors(cfg, name) if cfg.grasp_prediction else {}
@@ -54,6 +56,10 @@ def evaluate(cfg: DictConfig) -> dict:
         table = evaluate_policy(pool, policy, **sizes, description=name, by=by, watch=failed.add)
         if predictors:
             table["grasp_prediction"] = predict_grasps(cfg, pool, predictors, predicted.add)
+    console.print_comparison({name: table}, episodes=cfg.evaluation.episodes, scenes=scenes)
+    console.print_failures(table)
+    console.print_learner_steps(table)
+    console.print_grasp_prediction(table)
     run_dir = open_run_dir(cfg, "evaluate")
     if cfg.video.episodes:
         count = min(cfg.video.episodes, cfg.evaluation.episodes)
@@ -71,10 +77,6 @@ def evaluate(cfg: DictConfig) -> dict:
     summary = write_summary(run_dir, summary)
     pictures = {"Predicted grasps": predicted.pictures} if predictors else {}
     write_page(cfg, run_dir, summary, {**pictures, "Failed episodes": failed.pictures})
-    console.print_comparison({name: table}, episodes=cfg.evaluation.episodes, scenes=scenes)
-    console.print_failures(table)
-    console.print_learner_steps(table)
-    console.print_grasp_prediction(table)
     print(f"Written to {run_dir}: summary.json, report.html{', videos/' if cfg.video.episodes else ''}")
     return summary
 

@@ -47,7 +47,7 @@ def tune(run: Run[ActorCriticLearner]) -> None:
     run.act(TensorDictSequential(*modules))
     relabel = HindsightGoal(imitate=cfg.online.self_imitation)
     experience.draw_all()
-    if run.iteration == 0:
+    if run.learned_nothing:
         learner.copy_to_targets()
     for iteration in run.iterations("fine-tuning"):
         episodes = run.episodes()

@@ -21,6 +21,7 @@ from torchrl.modules import MLP
 
 from torchgrasp.config import Pendulum, build, check_values, one_line_errors, recipe_main
 from torchgrasp.data import MixtureSampler
+from torchgrasp.data.files import try_folder
 from torchgrasp.objectives import StaggeredTargetUpdate
 from torchgrasp.runs import hardware, make_run_dir, seed_everything, versions
 from torchgrasp.training import step_schedule
@@ -133,13 +134,14 @@ def descend(optimizer: torch.optim.Optimizer, terms: TensorDictBase) -> None:
 def main(cfg: DictConfig) -> None:
     """Learn from each seed, and print and write the table."""
     check_values(cfg, Pendulum)
+    try_folder(cfg.output_dir)
     rows = {}
     print("seed  return before  return after  seconds")
     for seed in [cfg.seeds] if isinstance(cfg.seeds, int) else cfg.seeds:
         rows[seed] = row = train(cfg, seed)
         print(f"{seed:4d}  {row['before']:13.0f}  {row['after']:12.0f}  {row['seconds']:7.0f}", flush=True)
-    path = make_run_dir("pendulum", root=cfg.output_dir) / "pendulum.json"
-    path.write_text(json.dumps({"rows": rows, "versions": versions(), "hardware": hardware()}, indent=2))
+    result = {"rows": rows, "versions": versions(), "hardware": hardware()}
+    make_run_dir("pendulum", root=cfg.output_dir, files={"pendulum.json": json.dumps(result, indent=2)})
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def reinforce(run: Run[ActorCriticLearner]) -> None:
     cfg, learner, experience = run.cfg, run.learner, run.experience
     run.act(*make_actors(run))
     experience.draw_all()
-    if run.iteration == 0:
+    if run.learned_nothing:
         learner.copy_to_targets()
     for iteration in run.iterations("reinforcement"):
         episodes = run.episodes()

@@ -46,11 +46,10 @@ def view(cfg: DictConfig) -> dict[str, dict]:
         try:
             prepare_objects(cfg, "test")
             play(viewer, env, playing, tables, itertools.count() if endless else range(cfg.episodes))
-        except KeyboardInterrupt:
-            print()
-    for name, table in tables.items():
-        if table.episodes:
-            print(f"{name}: lifted {table.successes} of {table.episodes}")
+        finally:  # also at ctrl-C, the end of endless playing
+            for name, table in tables.items():
+                if table.episodes:
+                    print(f"{name}: lifted {table.successes} of {table.episodes}")
     return {name: table.summary() for name, table in tables.items() if table.episodes}
 
 

@@ -21,7 +21,7 @@ ROOT = Path(torchgrasp.__file__).parent
 CHECKOUT = ROOT.parent
 
 # Modules that anything may import, and that import one another alone.
-GROUND = ("errors", "documents", "keys", "geometry", "randomness", "episodes", "names")
+GROUND = ("errors", "documents", "keys", "geometry", "randomness", "episodes", "names", "interruption")
 # Folder -> the folders that it may import, besides the ground and itself.
 ALLOWED = {
     "ops": set(),

@@ -35,6 +35,14 @@ class DamageError(CheckpointError):
     """A file that is missing, or no longer as it was saved; only a copy, or making it again, helps."""
 
 
+class StorageError(TorchgraspError):
+    """A file or folder that cannot be written now: no room, no rights, or another process writes there."""
+
+
+class WorkerError(TorchgraspError):
+    """Workers that died again and again; what was saved before is whole."""
+
+
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
 

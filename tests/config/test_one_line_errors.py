@@ -1,11 +1,12 @@
 import pickle
+import signal
 import subprocess
 import sys
 
 import pytest
 
 from torchgrasp.config.one_line_errors import one_line_errors
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, StorageError
 
 
 @one_line_errors()
@@ -52,3 +53,31 @@ main()
         process.stdin.write("go on\n")
         process.stdin.close()
         assert process.stderr.read() == ""
+
+
+def test_how_to_go_on_stands_behind_the_error_in_the_same_line(capsys):
+    with pytest.raises(SystemExit), one_line_errors():
+        error = StorageError("no room")
+        error.add_note("In a worker:\nits traceback")
+        error.add_note("Go on with resume=DIR")
+        raise error
+    assert capsys.readouterr().err == "error: no room. Go on with resume=DIR\n"
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interruption_is_one_line_and_its_exit_code(number, code):
+    script = f"""
+import os, signal
+from torchgrasp.config.one_line_errors import one_line_errors
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+@one_line_errors()
+def main():
+    os.kill(os.getpid(), {int(number)})
+
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    told = f"interrupted by {signal.Signals(number).name}\n"
+    assert (done.returncode, done.stdout, done.stderr) == (code, "", told)

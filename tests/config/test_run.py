@@ -8,7 +8,7 @@ import torch
 from omegaconf import OmegaConf
 
 from torchgrasp.config import Run, gather_sources, make_actor_critic, make_imitation_learner
-from torchgrasp.errors import CheckpointError
+from torchgrasp.errors import CheckpointError, StorageError, WorkerError
 from torchgrasp.runs import load_checkpoint, seed_everything
 from torchgrasp.training import ActorCriticLearner
 
@@ -98,6 +98,7 @@ def test_the_actors_delay_counts_critic_updates_over_the_run_and_survives_a_resu
 
     first = begin(*given)
     learn(first, stop_in=1)  # the checkpoint before has a critic with one update
+    first.__exit__(None, None, None)
     second = begin(resume=first.folder)
     assert (second.iteration, second.learner.critic_updates) == (1, 1)
     learn(second)
@@ -114,6 +115,7 @@ def test_a_checkpoint_holds_all_of_a_run_and_the_next_takes_it_up(begin):
     run.note_successes([])
     run.results["random"] = {"success_rate": 0.25}
     run.checkpoint()
+    run.__exit__(None, None, None)
     state = load_checkpoint(run.folder / "checkpoint")
     assert set(state) == ENTRIES
     assert json.loads((run.folder / "checkpoint" / "manifest.json").read_text())["format"] == 2
@@ -127,6 +129,7 @@ def test_a_checkpoint_holds_all_of_a_run_and_the_next_takes_it_up(begin):
 def test_a_checkpoint_of_another_configuration_is_refused(begin):
     run = begin("pretrain.steps=0")
     run.checkpoint()
+    run.__exit__(None, None, None)
     file = run.folder / ".config_unresolved.yaml"
     cfg = OmegaConf.load(file)
     cfg.model.encoder.width = 0.5
@@ -167,3 +170,21 @@ def test_metrics_alone_are_logged_by_default(begin):
     run = begin("pretrain.steps=0")
     names = {path.name for path in run.folder.iterdir()}
     assert names == {"config.yaml", ".config_unresolved.yaml", "metrics.csv"}
+
+
+def test_a_finished_run_that_is_resumed_is_not_saved_again(begin):
+    run = begin("offline.updates=2", "online.updates=2", "pretrain.steps=0", "checkpoint.iterations=100")
+    learn(run)
+    run.__exit__(None, None, None)
+    files = [run.folder / "weights.safetensors", run.folder / "checkpoint" / "manifest.json"]
+    before = [file.stat().st_mtime_ns for file in files]
+    again = begin(resume=run.folder)
+    learn(again)
+    assert [file.stat().st_mtime_ns for file in files] == before
+
+
+def test_workers_that_die_and_a_full_disk_say_how_the_run_goes_on(begin):
+    run = begin("pretrain.steps=0")
+    for error in (WorkerError("3 workers died"), StorageError("no room")):
+        run.__exit__(type(error), error, None)
+        assert error.__notes__ == [f"The run goes on with resume={run.folder}"]

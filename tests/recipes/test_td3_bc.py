@@ -12,7 +12,14 @@ import pytest
 from omegaconf import OmegaConf
 
 from recipes import td3_bc
-from tests.recipes.runner import command, environment, find_run, read_metrics, read_results
+from tests.recipes.runner import (
+    command,
+    environment,
+    find_processes,
+    find_run,
+    read_metrics,
+    read_results,
+)
 from torchgrasp.config import Run, make_actor_critic
 from torchgrasp.errors import CheckpointError, ConfigError
 
@@ -129,21 +136,9 @@ def test_a_killed_run_leaves_no_worker_behind(tmp_path):
     process.kill()
     process.wait()
     deadline = time.monotonic() + 20
-    while _marked(str(tmp_path)) and time.monotonic() < deadline:
+    while find_processes(str(tmp_path)) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert not _marked(str(tmp_path))
-
-
-def _marked(mark: str) -> list[str]:
-    """Processes that carry the mark in their environment."""
-    found = []
-    for entry in Path("/proc").glob("[0-9]*/environ"):
-        try:
-            if f"TORCHGRASP_TEST_MARK={mark}".encode() in entry.read_bytes():
-                found.append(entry.parent.name)
-        except OSError:
-            continue
-    return found
+    assert not find_processes(str(tmp_path))
 
 
 def test_demonstrations_of_another_configuration_are_refused(finished_run, composed):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from concurrent.futures import CancelledError
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ from torchgrasp.rollouts.episode_pool import SerialPool
 from torchgrasp.rollouts.process_pool import ProcessPool
 from torchgrasp.rollouts.ray_pool import RayPool
 from torchgrasp.rollouts.rounds import collect_rounds
+from torchgrasp.rollouts.worker_pool import AHEAD
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 from torchgrasp.transforms import AggregatePoints, DepthToPoints, SamplePoints
 
@@ -227,6 +229,23 @@ def test_workers_end_with_who_started_them(tmp_path, end):
     assert told.count("Traceback") == (end == signal.SIGINT) and told.count("KeyboardInterrupt") <= 1
 
 
+def test_answers_do_not_pile_up():
+    """Numbers are asked for as answers are taken, so that endless ones can be given."""
+    asked: list[int] = []
+
+    def numbers():
+        for number in count():
+            asked.append(number)
+            yield number
+
+    with ProcessPool(ENVS, num_workers=1) as pool:
+        batches = pool.run("env", RandomAction(), numbers())
+        assert len(asked) == AHEAD
+        assert [next(batches)[0].number for _ in range(3)] == [0, 1, 2]
+        assert len(asked) == AHEAD + 3
+        batches.close()
+
+
 def test_a_closed_pool_keeps_nobody_waiting():
     pool = ProcessPool(ENVS, num_workers=1)
     batches = pool.run("env", RandomAction(), range(3))
@@ -262,3 +281,30 @@ def test_an_address_where_no_ray_is_is_refused_at_once():
     script = "from torchgrasp.rollouts import RayPool; RayPool({}, num_workers=1, address='127.0.0.1:9')"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100)
     assert "ConfigError: address=127.0.0.1:9 does not answer" in done.stderr
+
+
+def test_ray_that_is_started_here_listens_to_this_machine_alone_and_ends_at_once():
+    """Two workers where there is room for none: they wait for it, and closing does not wait with them."""
+    script = """
+import time
+import psutil
+from tests.rollouts.test_episode_pools import ENVS, RandomAction, RayPool
+
+if __name__ == "__main__":
+    pool = RayPool(ENVS, num_workers=2, init={"num_cpus": 2})
+    @pool._ray.remote(num_cpus=2)
+    class Blocker:
+        pass
+    blocker = Blocker.remote()
+    pool._ray.get(blocker.__ray_ready__.remote())
+    pool.run("env", RandomAction(), range(2))
+    time.sleep(1.0)
+    listening = set()
+    for process in psutil.Process().children(recursive=True):
+        listening |= {each.laddr.ip for each in process.net_connections() if each.status == "LISTEN"}
+    began = time.monotonic()
+    pool.close()
+    print(listening, time.monotonic() - began < 20)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=100)
+    assert done.stdout == "{'127.0.0.1'} True\n", done.stderr

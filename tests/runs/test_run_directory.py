@@ -11,7 +11,7 @@ import torch
 
 import torchgrasp
 from torchgrasp.config.one_line_errors import one_line_errors
-from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.errors import ConfigError, StorageError, check_range
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.runs.run_directory import hardware, make_run_dir, versions, write_summary
 from torchgrasp.runs.seeding import seed_everything
@@ -126,3 +126,17 @@ def test_cosine_rises_falls_and_stays():
 def test_schedules_that_are_none_are_refused(make):
     with pytest.raises(ConfigError):
         make()
+
+
+def test_a_run_directory_appears_with_its_first_files(tmp_path):
+    path = make_run_dir("bc", root=tmp_path, files={"config.yaml": "é: 1\n"})
+    assert (path / "config.yaml").read_text(encoding="utf-8") == "é: 1\n"
+    assert [each.name for each in path.parent.iterdir()] == [path.name]
+
+
+def test_a_run_directory_that_cannot_be_made_leaves_nothing(tmp_path):
+    with pytest.raises(StorageError, match=r"bc cannot be written \(File name too long\)"):
+        make_run_dir("bc", root=tmp_path, files={"config.yaml": "", 300 * "x": ""})
+    assert not list((tmp_path / "bc").iterdir())
+    with pytest.raises(StorageError, match=r"a file stands in its way"):
+        make_run_dir("bc", root="/dev/null")

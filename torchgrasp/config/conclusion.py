@@ -7,11 +7,13 @@ from torchgrasp.config.policies import make_policy
 from torchgrasp.config.report_page import describe_scenes, write_page
 from torchgrasp.config.run import Run
 from torchgrasp.evaluation.grasp_prediction import find_predictors
+from torchgrasp.interruption import release
 from torchgrasp.report.console import print_comparison, print_grasp_prediction
 from torchgrasp.report.episode_pictures import FailurePictures, GraspPictures
 from torchgrasp.runs import write_summary
 
 
+@release()  # the run is saved: what is measured and written here, a resumed one makes anew
 def conclude(run: Run) -> dict:
     """Measure the policy and the baselines on the same scenes; write and print the summary, and return it."""
     cfg, learner = run.cfg, run.learner

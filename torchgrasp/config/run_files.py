@@ -40,10 +40,9 @@ def open_run_dir(cfg: DictConfig, recipe: str) -> Path:
     if cfg.get("resume") is not None:
         note_run(Path(cfg.resume))
         return Path(cfg.resume)
-    run_dir = make_run_dir(recipe, root=cfg.output_dir)
+    files = {"config.yaml": OmegaConf.to_yaml(cfg, resolve=True), _UNRESOLVED: OmegaConf.to_yaml(cfg)}
+    run_dir = make_run_dir(recipe, root=cfg.output_dir, files=files)
     note_run(run_dir)
-    OmegaConf.save(cfg, run_dir / "config.yaml", resolve=True)
-    OmegaConf.save(cfg, run_dir / _UNRESOLVED)
     return run_dir
 
 

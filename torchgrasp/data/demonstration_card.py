@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator
 
 from torchgrasp.data.demonstration_kinds import check_kind
-from torchgrasp.data.files import read_sealed_json, seal_json, write_text_atomically
+from torchgrasp.data.files import read_sealed_json, seal_json, write_text_atomically, writing
 from torchgrasp.documents import (
     Amount,
     Count,
@@ -102,7 +102,8 @@ def begin_demonstrations(
                 f"or kind={card['kind']}."
             )
         return card
-    path.mkdir(parents=True, exist_ok=True)
+    with writing(path):
+        path.mkdir(parents=True, exist_ok=True)
     return write_card(path, empty_card(check_kind(kind), provenance or {}))
 
 

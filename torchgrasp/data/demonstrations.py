@@ -25,6 +25,7 @@ from torchrl.envs.transforms import Compose, Transform
 
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.demonstration_card import add_to_card, empty_card, read_card, write_card
+from torchgrasp.data.folder_lock import own_folder
 from torchgrasp.data.sampler import STUB
 from torchgrasp.data.shard_storage import ShardStorage
 from torchgrasp.data.shards import EpisodeRecord, find_shards, open_shard, shard_name
@@ -162,6 +163,11 @@ def drop_damaged_shards(path: str | Path) -> list[str]:
     """
     path = Path(path)
     folders = [each for each in _list_folder(path) if each.match("shard_[0-9]*")]
+    with own_folder(path):
+        return _drop_damaged(path, folders)
+
+
+def _drop_damaged(path: Path, folders: list[Path]) -> list[str]:
     told = read_card(path)
     if "imported_from" in told["provenance"]:
         raise ConfigError(

@@ -1,24 +1,38 @@
-"""Files and folders that are either whole or not there, whenever the process is killed, and checksums."""
+"""Files and folders that are either whole or not there, whenever the process is killed, and checksums.
+
+What cannot be written is a StorageError, which names it and says what to do.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import re
 import shutil
 import stat
+import tempfile
 import zlib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from safetensors import SafetensorError
+
 from torchgrasp.documents import Count, Crc32, Document, parse_json, read_text, reading, shorten
-from torchgrasp.errors import DamageError
+from torchgrasp.errors import DamageError, StorageError
 
 # Ends the text of a sealed JSON file; its own checksum follows.
 _SEAL = ',\n  "crc32": '
 # Ends other sealed text, as a comment of YAML.
 _COMMENT = "# crc32 "
+# What is missing where a file cannot be written, by the system's number for it.
+_REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room there, then go on"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "give a folder that can be written"),
+    **dict.fromkeys((errno.ENOTDIR, errno.EEXIST, errno.EISDIR), "a file stands in its way, give another"),
+}
 
 
 class FileRecord(Document):
@@ -28,15 +42,67 @@ class FileRecord(Document):
     crc32: Crc32
 
 
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """Turn what keeps the block from writing to `path` into a StorageError; what was there stays whole."""
+    try:
+        yield
+    except (OSError, SafetensorError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        remedy = _REMEDIES.get(_number(error), "mend that, or give another folder")
+        raise StorageError(f"{path} cannot be written ({reason}): {remedy}.") from error
+
+
+def _number(error: OSError | SafetensorError) -> int | None:
+    """The system's number of an error, which safetensors tells in words alone."""
+    if isinstance(error, OSError):
+        return error.errno
+    told = re.search(r"os error (\d+)", str(error))
+    return None if told is None else int(told[1])
+
+
 def write_text_atomically(path: str | Path, text: str) -> None:
-    """Write `text` to `path`: a reader sees the old content or the new one, never a part."""
+    """Write `text` to `path` as UTF-8; see `write_bytes_atomically`."""
+    # Names may hold bytes of no encoding, which stay legible so.
+    write_bytes_atomically(path, text.encode(errors="backslashreplace"))
+
+
+def write_bytes_atomically(path: str | Path, content: bytes) -> None:
+    """Write `content` to `path`: a reader sees the old content or the new one, never a part."""
     path = Path(path)
     part = path.with_name(f".{path.name}.new")
-    # Names may hold bytes of no encoding, which stay legible so.
-    part.write_text(text, encoding="utf-8", errors="backslashreplace")
-    _fsync(part)
-    part.replace(path)
-    _fsync(path.parent)
+    with writing(path):
+        try:
+            part.write_bytes(content)
+            _fsync(part)
+            part.replace(path)
+        except OSError:
+            with suppress(OSError):
+                part.unlink()
+            raise
+        _fsync(path.parent)
+
+
+def try_folder(path: str | Path) -> None:
+    """Make the folder and write something there, which is deleted: before work whose result goes there."""
+    with writing(path):
+        Path(path).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path) as file:
+            file.write(b"something")
+
+
+def prove_room(folder: Path, sizes: Iterable[int]) -> None:
+    """Raise OSError unless files of these sizes (bytes) fit into the folder beside one another.
+
+    A disk that is full ends a process that writes to a mapped file, without a word.
+    """
+    if not hasattr(os, "posix_fallocate"):  # as on macOS
+        return
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".room") as room:
+        for number, size in enumerate(sizes):
+            with Path(room, str(number)).open("wb") as file:
+                if size:
+                    os.posix_fallocate(file.fileno(), 0, size)
 
 
 def write_json_atomically(path: str | Path, value: Any) -> None:
@@ -112,21 +178,22 @@ def replace_folder(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path).absolute()
     new, old = path.with_name(f".{path.name}.new"), _old(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(new, ignore_errors=True)
-    new.mkdir()
-    try:
-        yield new
-    except BaseException:
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(new, ignore_errors=True)
-        raise
-    fsync_tree(new)
-    if path.exists():
+        new.mkdir()
+        try:
+            yield new
+            fsync_tree(new)
+            if path.exists():
+                shutil.rmtree(old, ignore_errors=True)
+                path.rename(old)
+            new.rename(path)
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+        _fsync(path.parent)
         shutil.rmtree(old, ignore_errors=True)
-        path.rename(old)
-    new.rename(path)
-    _fsync(path.parent)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 def find_folder(path: str | Path) -> Path:

@@ -28,6 +28,7 @@ from torchgrasp.data.files import (
     FileRecord,
     check_file,
     describe_file,
+    prove_room,
     read_sealed_json,
     replace_folder,
     seal_json,
@@ -162,6 +163,7 @@ def _write_rows(folder: Path, episodes: Sequence[TensorDictBase]) -> dict[str, i
     if not episodes:
         return dict.fromkeys(COUNTS, 0)
     rows = torch.cat(list(episodes)).exclude(keys.SOURCE)  # pyright: ignore
+    prove_room(folder, (column.nbytes for column in rows.values(True, True)))
     rows.memmap(str(folder / _ROWS))
     return _count_rows(rows)
 

@@ -10,6 +10,8 @@ from multiprocessing import get_context
 
 from tqdm import tqdm
 
+from torchgrasp.interruption import serve_parent
+
 
 def run_each(
     work: Callable[[int], None], indices: Sequence[int], *, workers: int, label: str, progress: bool = True
@@ -44,12 +46,17 @@ def run_each(
 
 
 def _run_in_processes(work: Callable[[int], None], indices: Sequence[int], workers: int, bar: tqdm) -> None:
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=serve_parent) as pool:
         futures = [pool.submit(work, index) for index in indices]
         try:
             for future in as_completed(futures):
                 future.result()
                 bar.update()
+        except (KeyboardInterrupt, BrokenProcessPool):
+            # The executor would wait for what they are at; they hold nothing that anybody misses.
+            for process in pool._processes.values():
+                process.kill()
+            raise
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise

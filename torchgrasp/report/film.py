@@ -11,6 +11,7 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from torchgrasp import keys
+from torchgrasp.data.files import writing
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.objects.model import GraspObject
@@ -134,10 +135,17 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], *, fps: float = 
         ConfigError: where the extra `viz` is not installed.
     """
     check_video_tools()
+    path = Path(path)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _write_frames(path, frames, fps)
+    return path
+
+
+def _write_frames(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     import imageio_ffmpeg
 
-    path, writer, frame = Path(path), None, None
-    path.parent.mkdir(parents=True, exist_ok=True)
+    writer, frame = None, None
     try:
         for frame in frames:
             if writer is None:
@@ -157,7 +165,6 @@ def write_video(path: str | Path, frames: Iterable[np.ndarray], *, fps: float = 
     finally:
         if writer is not None:
             writer.close()
-    return path
 
 
 def check_video_tools() -> None:

@@ -17,6 +17,7 @@ from torchgrasp.data import (
     open_demonstrations,
 )
 from torchgrasp.data.demonstration_kinds import COUNTED, resolve_count
+from torchgrasp.data.folder_lock import own_folder
 from torchgrasp.errors import ConfigError
 from torchgrasp.rollouts.episode_pool import Episode, EpisodePool, Policy
 from torchgrasp.runs import Progress
@@ -43,7 +44,8 @@ def collect_demonstrations(
     """Add shards to the folder `path` until `num_steps` steps are there that count; returns its card.
 
     Shard k holds the same episodes whenever it is collected, so a collection that was cut off goes on where
-    its last whole shard ended.
+    its last whole shard ended. The folder is owned meanwhile: another process that would write there is
+    refused.
 
     Args:
         pool: who runs episodes of its environment `train`.
@@ -59,31 +61,31 @@ def collect_demonstrations(
     """
     counted = COUNTED[resolve_count(count, kind)]
     card = begin_demonstrations(path, kind=kind, provenance=provenance)
-    if done := count_shards(path):
-        card = open_demonstrations(path).card
-    with (
-        closing(_run_shards(pool, policy, done, num_workers)) as shards,
-        Progress(
-            num_steps, initial=min(num_steps, card[counted]), description=f"{kind} steps", unit="step"
-        ) as progress,
-    ):
-        while card[counted] < num_steps:
-            before, started = card[counted], time.monotonic()
-            index, episodes = next(shards)
-            kept = [each for each in episodes if kind != "failed" or not each.success]
-            card = append_shard(
-                path,
-                [each.steps for each in kept],
-                objects=[each.object_name for each in kept],
-                seeds=[seed] * len(kept),
-                index=index,
-                attempts=len(episodes),
-                codec=codec,
-                wall_seconds=time.monotonic() - started,
-            )
-            gained = min(num_steps, card[counted]) - min(num_steps, before)
-            progress.update(gained, success_rate=1.0 - _count_failures(card) / card["attempts"])
-            _check_hope(card, counted)
+    with own_folder(path):
+        if done := count_shards(path):
+            card = open_demonstrations(path).card
+        initial = min(num_steps, card[counted])
+        with (
+            closing(_run_shards(pool, policy, done, num_workers)) as shards,
+            Progress(num_steps, initial=initial, description=f"{kind} steps", unit="step") as progress,
+        ):
+            while card[counted] < num_steps:
+                before, started = card[counted], time.monotonic()
+                index, episodes = next(shards)
+                kept = [each for each in episodes if kind != "failed" or not each.success]
+                card = append_shard(
+                    path,
+                    [each.steps for each in kept],
+                    objects=[each.object_name for each in kept],
+                    seeds=[seed] * len(kept),
+                    index=index,
+                    attempts=len(episodes),
+                    codec=codec,
+                    wall_seconds=time.monotonic() - started,
+                )
+                gained = min(num_steps, card[counted]) - min(num_steps, before)
+                progress.update(gained, success_rate=1.0 - _count_failures(card) / card["attempts"])
+                _check_hope(card, counted)
     return card
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import signal
 import threading
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 
 import torch
 
+from torchgrasp.interruption import serve_parent
 from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
 
 _SPAWN = get_context("spawn")  # a fork would share threads and physics
@@ -79,18 +79,9 @@ def _tell_end(code: int | None) -> str:
 
 def _serve(pipe: Connection, packed: bytes) -> None:
     """The life of a worker process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # ctrl-C is for the process that started it
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    serve_parent()
     torch.set_num_threads(1)
     runner = pickle.loads(packed)
     with suppress(EOFError):
         while True:
             pipe.send_bytes(answer(runner, pipe.recv()))
-
-
-def _end_with_parent() -> None:
-    """A worker whose parent was killed would finish its episode first."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)

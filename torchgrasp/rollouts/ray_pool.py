@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from torchgrasp.errors import ConfigError
+from torchgrasp.interruption import keep_handlers
 from torchgrasp.rollouts.episode_pool import MakeEnv, Policy
 from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
 
@@ -24,8 +25,9 @@ class RayPool(WorkerPool):
     """Runs episodes in `num_workers` Ray actors; see `WorkerPool`.
 
     Ray is joined where `address` says, or started on this machine alone and ended with the pool; a Ray
-    that is running already in this process is used as it is. The policy goes to each machine once a
-    call of `run`. Environments are pickled by value where Ray's workers could not import them.
+    that is running already in this process is used as it is. One that is started here listens to 127.0.0.1
+    alone, unless Ray was imported before. The policy goes to each machine once a call of `run`. Environments
+    are pickled by value where Ray's workers could not import them.
 
     Args:
         envs: name -> function that makes the environment.
@@ -47,14 +49,15 @@ class RayPool(WorkerPool):
         init: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(envs, num_workers=num_workers, keep=keep)
-        self._ray = import_ray()
+        self._ray = import_ray(alone=address is None)
         cores = num_workers * num_cpus
         self._owns_ray = not self._ray.is_initialized()
         if self._owns_ray:
             own = {"num_cpus": math.ceil(cores), "include_dashboard": False} if address is None else {}
             try:
                 _check_address(address)
-                self._ray.init(address or "local", **{"logging_level": "warning", **own, **(init or {})})
+                with keep_handlers():  # Ray would exit at SIGTERM
+                    self._ray.init(address or "local", **{"logging_level": "warning", **own, **(init or {})})
             except OSError as error:
                 raise ConfigError(
                     f"address={address} does not answer ({error}): begin a cluster by `ray start --head`."
@@ -93,12 +96,13 @@ class RayWorker(Worker):
     """
 
     def __init__(self, ray: ModuleType, index: int, actor: Any) -> None:
-        self._ray, self._actor, self._name = ray, actor, f"Worker {index}"
-        place = self._wait_for(actor.whereabouts.remote(), timeout=_START_SECONDS)
-        self._name += f" ({place})"
+        self._ray, self._actor, self._name, self._placed = ray, actor, f"Worker {index}", False
 
     def run(self, task: Task) -> bytes:
-        """Call the actor and wait for its answer."""
+        """Call the actor and wait for its answer, and before the first one until it has a place."""
+        if not self._placed:
+            place = self._wait_for(self._actor.whereabouts.remote(), timeout=_START_SECONDS)
+            self._name, self._placed = f"{self._name} ({place})", True
         return self._wait_for(self._actor.run.remote(*task))
 
     def _wait_for(self, call: Any, *, timeout: float | None = None) -> Any:
@@ -116,8 +120,10 @@ class RayWorker(Worker):
         self._ray.kill(self._actor)
 
 
-def import_ray() -> ModuleType:
-    """Ray, or ConfigError with the way to get it."""
+def import_ray(*, alone: bool = False) -> ModuleType:
+    """Ray, or ConfigError with the way to get it; `alone`, it listens to this machine alone."""
+    if alone:  # read when Ray is imported; without a cluster Ray takes 127.0.0.1 for its address
+        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     # Ray reports each use to its makers unless told otherwise; who wants that sets it to 1.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:

@@ -7,16 +7,27 @@ import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from itertools import islice
 from queue import LifoQueue
 from typing import Any, NamedTuple
 
-from torchgrasp.errors import ConfigError, TorchgraspError
-from torchgrasp.rollouts.episode_pool import EpisodeBatches, EpisodePool, EpisodeRunner, MakeEnv, Policy
+from torchgrasp.errors import ConfigError, WorkerError
+from torchgrasp.interruption import is_interrupted
+from torchgrasp.rollouts.episode_pool import (
+    Episode,
+    EpisodeBatches,
+    EpisodePool,
+    EpisodeRunner,
+    MakeEnv,
+    Policy,
+)
 
 # Deaths over the same episode after which it is the episode's fault, not the worker's.
 _MAX_DEATHS = 3
+# Episode numbers that workers may be ahead of what is taken: more than a round of training has, as a rule.
+AHEAD = 32
 
 
 class Task(NamedTuple):
@@ -69,6 +80,7 @@ class WorkerPool(EpisodePool):
                 f"num_workers={num_workers}: give 1 or more, or take a SerialPool, which needs none."
             )
         super().__init__(envs, keep=keep)
+        self._num_workers = num_workers
         self._threads = ThreadPoolExecutor(num_workers)
         self._idle: LifoQueue[int] = LifoQueue()
         for index in reversed(range(num_workers)):
@@ -87,12 +99,31 @@ class WorkerPool(EpisodePool):
     def run(
         self, env: str, policy: Policy, numbers: Iterable[int], *, explore: bool = False
     ) -> EpisodeBatches:
-        """One list an episode number; the workers begin at once."""
+        """One list an episode number; the workers begin at once.
+
+        They are at most `AHEAD` numbers ahead of what is taken, so that answers do not pile up.
+        """
         shared = self._publish(policy)
-        tasks = [Task(env, shared, number, explore) for number in numbers]
-        batches = _hand_over(deque(self._threads.submit(self._insist, task) for task in tasks))
+        batches = self._hand_over(Task(env, shared, number, explore) for number in numbers)
         next(batches)  # begun: from here on, closing it drops its tasks
         return batches
+
+    def _hand_over(self, tasks: Iterator[Task]) -> EpisodeBatches:
+        """First an empty list, then the episodes of each answer; closing it drops those that are to come."""
+        answers: deque[Future[bytes]] = deque()
+        episodes: list[Episode] = []
+        ahead = max(AHEAD, 2 * self._num_workers)
+        try:
+            while True:
+                further = islice(tasks, ahead - len(answers))
+                answers.extend(self._threads.submit(self._insist, task) for task in further)
+                yield episodes
+                if not answers:
+                    return
+                episodes = read_answer(answers.popleft().result())
+        finally:
+            for each in answers:
+                each.cancel()
 
     def _insist(self, task: Task) -> bytes:
         """The answer to a task, by as many workers as it takes."""
@@ -119,11 +150,11 @@ class WorkerPool(EpisodePool):
         """Tell of a death in a warning; raise an error where there is no hope in another worker."""
         if (worker := self._workers.pop(index, None)) is not None:
             worker.stop()
-        if self._closed:
+        if self._closed or is_interrupted():  # a signal may end workers of others, such as Ray's
             raise CancelledError
         what = f"episode {task.number} of the environment {task.env!r}"
         if deaths == _MAX_DEATHS:
-            raise TorchgraspError(
+            raise WorkerError(
                 f"{deaths} workers died over {what}; the last: {death}. If memory ran out, lower "
                 "num_workers; a SerialPool shows other errors."
             )
@@ -136,17 +167,6 @@ class WorkerPool(EpisodePool):
         for worker in list(self._workers.values()):
             worker.stop()
         self._threads.shutdown()
-
-
-def _hand_over(answers: deque[Future[bytes]]) -> EpisodeBatches:
-    """First an empty list, then the episodes of each answer; closing it drops those that are to come."""
-    try:
-        yield []
-        while answers:
-            yield read_answer(answers.popleft().result())
-    finally:
-        for each in answers:
-            each.cancel()
 
 
 def answer(runner: EpisodeRunner, task: Task) -> bytes:

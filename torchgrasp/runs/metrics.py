@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchgrasp.data.files import write_text_atomically
+from torchgrasp.data.files import write_text_atomically, writing
 from torchgrasp.documents import read_text, shorten
 from torchgrasp.errors import CheckpointError
 
@@ -38,7 +38,8 @@ class MetricsLogger:
         self, run_dir: str | Path, *, resume_step: int | None = None, logger: Logger | None = None
     ) -> None:
         self._path = Path(run_dir) / "metrics.csv"
-        self._path.parent.mkdir(parents=True, exist_ok=True)
+        with writing(self._path.parent):
+            self._path.parent.mkdir(parents=True, exist_ok=True)
         self._columns = ["step"]
         self._rewrite(self._read_rows(resume_step))
         self._logger = logger
@@ -51,7 +52,7 @@ class MetricsLogger:
             self._columns += new
             self._rewrite(rows)
         row = {"step": step, **{name: _to_text(value) for name, value in metrics.items()}}
-        with self._path.open("a", newline="") as stream:
+        with writing(self._path), self._path.open("a", newline="") as stream:
             csv.DictWriter(stream, self._columns, restval="").writerow(row)
         if self._logger is not None:
             # All at once: in W&B a row for each step, in MLflow one request.

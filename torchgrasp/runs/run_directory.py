@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import platform
+import shutil
 from collections.abc import Mapping
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from itertools import count
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import psutil
 import torch
 
 import torchgrasp
-from torchgrasp.data.files import write_json_atomically
+from torchgrasp.data.files import fsync_tree, write_json_atomically, writing
 from torchgrasp.documents import check_document
 from torchgrasp.errors import ConfigError
 from torchgrasp.runs.summary import Summary
@@ -23,16 +26,39 @@ from torchgrasp.runs.summary import Summary
 _PACKAGES = ("torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
 
 
-def make_run_dir(recipe: str, *, root: str | Path = "outputs") -> Path:
-    """Make and return `<root>/<recipe>/<date_time>`, with a number behind where that exists."""
-    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    for attempt in count():
-        path = Path(root) / recipe / (stamp if attempt == 0 else f"{stamp}_{attempt}")
+def make_run_dir(
+    recipe: str, *, root: str | Path = "outputs", files: Mapping[str, str] | None = None
+) -> Path:
+    """Make and return `<root>/<recipe>/<date_time>`, with a number behind where that exists.
+
+    It appears with its first `files` {name: text} in it: no run directory is without its configuration.
+    """
+    parent = Path(root) / recipe
+    with writing(parent):
+        parent.mkdir(parents=True, exist_ok=True)
+        new = parent / f".{uuid4().hex}.new"
         try:
-            path.mkdir(parents=True)
-            return path
-        except FileExistsError:  # another run began in the same second
+            new.mkdir()
+            for name, text in (files or {}).items():
+                (new / name).write_bytes(text.encode())
+            fsync_tree(new)
+            return _rename_to_free(new, datetime.now().strftime("%Y-%m-%d_%H-%M-%S"))
+        except BaseException:
+            shutil.rmtree(new, ignore_errors=True)
+            raise
+
+
+def _rename_to_free(folder: Path, name: str) -> Path:
+    """Give the folder that name, with a number behind where another one has it."""
+    for attempt in count():
+        path = folder.with_name(name if attempt == 0 else f"{name}_{attempt}")
+        if path.exists():  # another run began in the same second
             continue
+        try:
+            return folder.rename(path)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # of one that began just now
+                raise
     raise AssertionError("unreachable")
 
 

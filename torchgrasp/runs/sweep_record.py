@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torchgrasp.data.files import write_json_atomically, write_text_atomically
+from torchgrasp.data.files import write_json_atomically, write_text_atomically, writing
 from torchgrasp.documents import Document, RelativePath, Text, check_document, read_document, read_text
 from torchgrasp.errors import printable
 
@@ -50,7 +50,8 @@ class SweepJob:
 def write_job(folder: str | Path, job: SweepJob) -> None:
     """Write or replace a job's file in the sweep's folder; a failure is also noted in the run directory."""
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     # Relative, so that outputs can be moved or mounted elsewhere as a whole.
     run_dir = None if job.run_dir is None else os.path.relpath(job.run_dir, folder)
     failure = None if job.failure is None else printable(job.failure)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 import torchgrasp
+from torchgrasp.data.files import write_bytes_atomically, writing
 from torchgrasp.documents import Document, Name, Plain, check_document, parse_json, reading
 from torchgrasp.errors import CheckpointError, ConfigError
 
@@ -76,12 +76,9 @@ def save_weights(
         torchgrasp=torchgrasp.__version__,
         sha256=_digest((text, names), tensors),
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.new")
-    save_file(tensors, part, metadata=metadata.model_dump())
-    with part.open("rb") as stream:
-        os.fsync(stream.fileno())
-    part.replace(path)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes_atomically(path, save(tensors, metadata=metadata.model_dump()))
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, dict[str, Tensor]], dict[str, Any]]:
