@@ -1,5 +1,7 @@
 """The record of a sweep, job by job, as Hydra's callbacks keep it."""
 
+from pathlib import Path
+
 import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import RunMode
@@ -54,3 +56,10 @@ def test_outside_of_a_sweep_nothing_is_noted(composed, tmp_path):
     note_run(tmp_path / "run")
     SweepRecord().on_job_start(OmegaConf.create({"hydra": {"mode": RunMode.RUN, "callbacks": {}}}))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_sweep_whose_folder_cannot_be_is_refused_in_one_line(capsys):
+    with pytest.raises(SystemExit) as ended:
+        SweepRecord().on_multirun_start(job_config(Path("/dev/null/x")))
+    told = "error: /dev/null/x cannot be written (Not a directory): a file stands in its way, give another.\n"
+    assert ended.value.code == 1 and capsys.readouterr().err == told

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from recipes import td3_bc
+from recipes import collect, evaluate, td3_bc
 from tests.recipes.runner import command, environment, find_run, read_results
 from torchgrasp.config import Run, gather_sources, make_actor_critic, training_config
+from torchgrasp.errors import StorageError
 from torchgrasp.interruption import Interrupted
 from torchgrasp.runs import load_weights, seed_everything
 from torchgrasp.runs.sweep_record import read_sweep
@@ -48,7 +49,7 @@ def uninterrupted(tmp_path_factory):
     return train(compose_config(f"output_dir={tmp_path_factory.mktemp('whole')}", *SMOKE))
 
 
-@pytest.mark.parametrize("update", [4, 6, 8, 9, 12])
+@pytest.mark.parametrize("update", [4, 8, 12])
 def test_interrupted_in_an_update_and_resumed_equals_never_interrupted(
     composed, tmp_path, uninterrupted, update
 ):
@@ -101,15 +102,14 @@ def end(process: subprocess.Popen, number: int) -> str:
     return told
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_run_with_workers_is_saved_and_says_how_it_goes_on(tmp_path, number, code):
+def test_a_run_with_workers_is_saved_and_says_how_it_goes_on(tmp_path):
     given = ["total_env_steps=100000", "collector.num_workers=1", "collector.overlap=true"]
     process = start("td3_bc", tmp_path, *SMOKE, *given)
     wait_for(lambda: any("train/success_rate" in path.read_text() for path in metrics_of(tmp_path)), process)
-    told = end(process, number)
+    told = end(process, signal.SIGTERM)
     folder = find_run(tmp_path, "td3_bc")
-    assert process.returncode == code, told
-    last = f"interrupted by {signal.Signals(number).name}. The run goes on with resume={folder}"
+    assert process.returncode == 143, told
+    last = f"interrupted by SIGTERM. The run goes on with resume={folder}"
     assert told.splitlines()[-1] == last
     assert (folder / "checkpoint" / "manifest.json").exists()
 
@@ -156,22 +156,27 @@ def test_the_jobs_of_a_sweep_end_in_good_order_and_no_further_one_begins(tmp_pat
         assert run is None or ((run / "checkpoint").exists() and f"(go on with resume={run})" in told)
 
 
-def test_one_process_at_a_time_trains_in_a_directory(composed, tmp_path, run_recipe):
+def test_one_process_at_a_time_trains_in_a_directory(composed):
     cfg = composed(*SMOKE, "total_env_steps=0")
     with Run(cfg, make_actor_critic(cfg)) as run:
-        code, out, err = run_recipe("td3_bc", f"resume={run.folder}")
-    assert (code, out) == (1, "") and err.count("\n") == 1
-    assert err.startswith(f"error: {run.folder} is being written by another process: wait until that ends")
+        told = f"^{run.folder} is being written by another process: wait until that ends"
+        with pytest.raises(StorageError, match=told):
+            td3_bc.train(composed(f"resume={run.folder}"))
 
 
-@pytest.mark.parametrize("name", ["td3_bc", "evaluate", "collect", "pendulum"])
-def test_an_output_directory_that_cannot_be_is_found_before_the_first_episode(tmp_path, name, run_recipe):
-    given = {"td3_bc": SMOKE, "collect": ["experiment=smoke"], "evaluate": ["policy=random"]}.get(name, [])
-    code, out, err = run_recipe(name, *given, "output_dir=/dev/null/x")
-    assert (code, out) == (1, "") and err.count("\n") == 1
-    assert err.startswith("error: /dev/null/x") and "cannot be written (Not a directory)" in err
-
-
-def test_a_sweep_whose_folder_cannot_be_is_refused_in_one_line(tmp_path, run_recipe):
-    code, out, err = run_recipe("td3_bc", *SMOKE, "output_dir=/dev/null/x", "seed=0,1", "-m")
-    assert (code, out) == (1, "") and err.count("\n") == 1 and err.startswith("error: /dev/null/x/sweeps")
+@pytest.mark.parametrize(
+    ("recipe", "name", "given"),
+    [
+        (td3_bc.train, "td3_bc", "experiment=smoke"),
+        (collect.run, "td3_bc", "experiment=smoke"),
+        (evaluate.evaluate, "evaluate", "policy=random"),
+    ],
+    ids=["td3_bc", "collect", "evaluate"],
+)
+def test_an_output_directory_that_cannot_be_is_found_before_objects_are_prepared(
+    composed, tmp_path, monkeypatch, recipe, name, given
+):
+    monkeypatch.setenv("TORCHGRASP_CACHE", str(tmp_path / "cache"))
+    with pytest.raises(StorageError, match=r"^/dev/null/x.* cannot be written \(Not a directory\)"):
+        recipe(composed(given, "output_dir=/dev/null/x", recipe=name))
+    assert not (tmp_path / "cache").exists()

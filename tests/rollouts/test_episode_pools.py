@@ -301,7 +301,8 @@ if __name__ == "__main__":
     time.sleep(1.0)
     listening = set()
     for process in psutil.Process().children(recursive=True):
-        listening |= {each.laddr.ip for each in process.net_connections() if each.status == "LISTEN"}
+        open_ports = [each for each in process.net_connections() if each.status == "LISTEN"]
+        listening |= {each.laddr.ip.removeprefix("::ffff:") for each in open_ports}  # as IPv6 has it
     began = time.monotonic()
     pool.close()
     print(listening, time.monotonic() - began < 20)
