@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tests.recipes.runner import command, environment, find_processes, find_run, read_results
@@ -50,7 +50,7 @@ def run_to_end(root: Path, *overrides: str) -> Path:
     return find_run(root, "td3_bc")
 
 
-def interrupt(root: Path, phase: str, signals: list[int]) -> tuple[int, list[str], int]:
+def interrupt(root: Path, phase: str, signals: Sequence[int]) -> tuple[int, list[str], int]:
     """Exit code, lines printed after the signals, and processes that are left two seconds after the end."""
     log, own = root / "log", {"TORCHGRASP_TEST_MARK": str(root)}
     if phase == "preparation":

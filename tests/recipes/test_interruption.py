@@ -30,11 +30,11 @@ def train(cfg, interrupt_at: int | None = None) -> Path:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         draw, drawn = run.experience.sample, []
 
-        def sample(*size):
-            drawn.append(size)
+        def sample(batch_size: int | None = None):
+            drawn.append(batch_size)
             if len(drawn) == interrupt_at:
                 os.kill(os.getpid(), signal.SIGTERM)
-            return draw(*size)
+            return draw(batch_size)
 
         run.experience.sample = sample
         td3_bc.pretrain(run)

@@ -53,12 +53,12 @@ def writing(path: str | Path) -> Iterator[None]:
         raise StorageError(f"{path} cannot be written ({reason}): {remedy}.") from error
 
 
-def _number(error: OSError | SafetensorError) -> int | None:
-    """The system's number of an error, which safetensors tells in words alone."""
+def _number(error: OSError | SafetensorError) -> int:
+    """The system's number of an error, which safetensors tells in words alone; 0 where none is told."""
     if isinstance(error, OSError):
-        return error.errno
+        return error.errno or 0
     told = re.search(r"os error (\d+)", str(error))
-    return None if told is None else int(told[1])
+    return 0 if told is None else int(told[1])
 
 
 def write_text_atomically(path: str | Path, text: str) -> None:
