@@ -1,4 +1,4 @@
-"""Speed as ratios within one run: python benchmarks/benchmark.py suite=env|resets|planner|replay|encoder|...
+"""Speed as ratios within one run: python benchmarks/benchmark.py suite=env|resets|preparation|planner|...
 
 Every suite is a function of the configuration that prints its figures and returns them. This folder is in a
 checkout only, beside an installed torchgrasp.
@@ -15,6 +15,7 @@ from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
 from omegaconf import DictConfig
+from preparation_time import benchmark_preparation
 from replay_buffer import benchmark_replay
 from reset_cost import benchmark_resets
 from training_throughput import benchmark_training
@@ -27,6 +28,7 @@ from torchgrasp.runs import hardware, make_run_dir, versions
 _SUITES = {
     "env": benchmark_env,
     "resets": benchmark_resets,
+    "preparation": benchmark_preparation,
     "planner": benchmark_planner,
     "replay": benchmark_replay,
     "encoder": benchmark_encoder,

@@ -21,7 +21,17 @@ ROOT = Path(torchgrasp.__file__).parent
 CHECKOUT = ROOT.parent
 
 # Modules that anything may import, and that import one another alone.
-GROUND = ("errors", "documents", "keys", "geometry", "randomness", "episodes", "names", "interruption")
+GROUND = (
+    "errors",
+    "documents",
+    "keys",
+    "geometry",
+    "randomness",
+    "episodes",
+    "names",
+    "interruption",
+    "processes",
+)
 # Folder -> the folders that it may import, besides the ground and itself.
 ALLOWED = {
     "ops": set(),
@@ -58,7 +68,7 @@ WITHOUT = {
 ONLY_IN = {"sapien": {"sim"}, "hydra": {"config"}, "omegaconf": {"config"}}
 # Scripts beside the package: the packages that they may import, besides Python's own.
 SCRIPTS = {"recipes": {"hydra", "numpy", "omegaconf", "tensordict", "torch", "torchgrasp", "torchrl"}}
-SCRIPTS["benchmarks"] = SCRIPTS["recipes"] | {"gymnasium", "mani_skill"}
+SCRIPTS["benchmarks"] = SCRIPTS["recipes"] | {"gymnasium", "mani_skill", "trimesh"}
 # The part that takes a configuration apart: elsewhere no parameter is named `cfg`.
 SEES_CFG = "config"
 

@@ -1,17 +1,15 @@
 """Ctrl-C and SIGTERM: the first ends what runs in good order, a second ctrl-C at once.
 
 `watch_signals` turns the first signal into `Interrupted`. Where that would leave something half done, `hold`
-puts it off until the next `check` or `release`. Worker processes leave signals to whoever started them, and
-end with it: `serve_parent`.
+puts it off until the next `check` or `release`. Worker processes leave signals to whoever started them
+(`torchgrasp.processes`).
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -19,7 +17,6 @@ from types import FrameType
 from torchgrasp.errors import StorageError, WorkerError
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_LOOK_EVERY = 0.5  # seconds between two looks at whether the parent is still there
 
 
 class Interrupted(KeyboardInterrupt):
@@ -168,23 +165,3 @@ def keep_handlers() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
         if is_interrupted():
             end_at_once()
-
-
-def serve_parent() -> None:
-    """Leave signals to the process that started this one, and end when that one does."""
-    for number in _SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
-    end_with_parent()
-
-
-def end_with_parent() -> None:
-    """End this process, begun by multiprocessing or joblib, when the one that started it is gone."""
-    parent = multiprocessing.parent_process()
-    if parent is not None and parent.pid is not None:
-        threading.Thread(target=_wait_for_end, args=(parent.pid,), daemon=True).start()
-
-
-def _wait_for_end(parent: int) -> None:
-    while os.getppid() == parent:  # another process adopts this one when its parent ends
-        time.sleep(_LOOK_EVERY)
-    os._exit(1)

@@ -4,7 +4,7 @@ import trimesh
 
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import FolderObjects
-from torchgrasp.objects.meshes import convex_parts, reduce_hull, simplify
+from torchgrasp.objects.decomposition import convex_parts, reduce_hull, simplify
 from torchgrasp.objects.surface import depth_in_parts
 
 

@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 from torchgrasp.errors import ObjectError
-from torchgrasp.objects.meshes import MAX_FACES, hand_scale, read_solid, simplify
+from torchgrasp.objects.decomposition import simplify
+from torchgrasp.objects.meshes import MAX_FACES, hand_scale, read_solid
 
 BOX = (0.04, 0.05, 0.12)
 

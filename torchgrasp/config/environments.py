@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import os
 from collections.abc import Callable, Iterable
 from copy import deepcopy
 from typing import Any
@@ -97,9 +96,9 @@ def make_pool(cfg: DictConfig, *, keep: Iterable = LEARNED_FROM) -> EpisodePool:
 
 
 def prepare_objects(cfg: DictConfig, *splits: str) -> None:
-    """Build and settle what is not cached yet, with a progress bar; the objects of both splits by default."""
+    """Build and settle what is not cached yet, on every core; the objects of both splits by default."""
     for split in splits or ("train", "test"):
-        workers = max(1, min(cfg.collector.num_workers, os.cpu_count() or 1))  # Ray's may be elsewhere
+        workers = None if cfg.collector.num_workers else 1  # every core, unless one process shall do
         objects = make_objects(cfg, split)
         prepare_resting(objects, build(cfg.env.physics), workers=workers)
         for index in range(len(objects)):

@@ -23,12 +23,12 @@ from torchgrasp.errors import StorageError
 from torchgrasp.interruption import (
     Interrupted,
     check,
-    end_with_parent,
     hold,
     is_interrupted,
     watch_signals,
 )
 from torchgrasp.names import one_line
+from torchgrasp.processes import end_with_parent
 from torchgrasp.runs.sweep_record import SweepJob, note_run_dir, read_job, read_sweep, write_job
 
 # Signals are put off from a sweep's start to its end, but for what a job itself lets through.

@@ -6,7 +6,9 @@ import hashlib
 import warnings
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +17,10 @@ from torchgrasp.errors import ConfigError, ObjectError, check_range
 from torchgrasp.names import file_stem
 from torchgrasp.objects.build import BUILD_VERSION, build_object
 from torchgrasp.objects.cache import cache_key
-from torchgrasp.objects.meshes import read_solid
+from torchgrasp.objects.mesh_files import read_bytes
+from torchgrasp.objects.meshes import READING_VERSION, read_solid
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.objects.parallel import run_each
 from torchgrasp.objects.sets import MIN_GRASPS, ObjectSet
 from torchgrasp.objects.solids import Solid
 
@@ -83,11 +87,12 @@ class FileObjects(ObjectSet):
         return self._sources[index].licence
 
     def _digest(self, file: Path) -> str:
+        """Of a file's content, or why it cannot be read: to build the object then fails with that."""
         if file not in self._digests:
             try:
-                self._digests[file] = hashlib.sha256(file.read_bytes()).hexdigest()
-            except OSError as error:
-                raise ObjectError(f"{file} cannot be read ({error.strerror}): restore it.") from error
+                self._digests[file] = hashlib.sha256(read_bytes(file)).hexdigest()
+            except ObjectError as error:
+                return str(error)
         return self._digests[file]
 
     def _content(self, source: Source) -> tuple:
@@ -97,7 +102,8 @@ class FileObjects(ObjectSet):
     def _cache_path(self, index: int) -> Path:
         source = self._sources[index]
         told = (source.name, source.family, source.licence, self.num_grasps, self.min_grasps)
-        key = cache_key(type(self).__name__, BUILD_VERSION, self._content(source), told)
+        versions = (BUILD_VERSION, READING_VERSION)
+        key = cache_key(type(self).__name__, versions, self._content(source), told)
         return self.cache_dir / f"{file_stem(source.name)}-{key}.npz"
 
     def _solid(self, source: Source) -> Solid:
@@ -128,6 +134,8 @@ class FileObjects(ObjectSet):
 
     def _skip_unusable(self, where: Path) -> None:
         """Build all, keep those that can be used, and warn of the others."""
+        attempt, named = partial(_attempt, self), self.names.__getitem__
+        run_each(attempt, self.missing(), workers=self.workers, label="building objects", name=named)
         usable = []
         for index, source in enumerate(self._sources):
             try:
@@ -139,6 +147,11 @@ class FileObjects(ObjectSet):
         self._sources = tuple(usable)
         if not usable:
             raise ObjectError(f"No mesh in {where} can be used; each warning above says why.")
+
+
+def _attempt(objects: FileObjects, index: int) -> None:
+    with suppress(ObjectError):  # remembered by the cache
+        objects[index]
 
 
 def check_on_error(on_error: str) -> None:

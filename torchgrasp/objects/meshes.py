@@ -1,4 +1,4 @@
-"""Mesh files to solids: read, checked by name, split into convex parts."""
+"""Mesh files to solids: tidied, checked by name, given convex parts."""
 
 from __future__ import annotations
 
@@ -7,20 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from torchgrasp.errors import ObjectError
-from torchgrasp.objects.model import MAX_PART_VERTICES
-from torchgrasp.objects.solids import Points, Solid, hull
+from torchgrasp.objects.decomposition import convex_parts, simplify
+from torchgrasp.objects.mesh_files import read_triangles
+from torchgrasp.objects.solids import Points, Solid
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
+READING_VERSION = 1  # part of the name of every cache file of a mesh: raise it when one gives another solid
 _LARGEST = 2.0  # metres; anything larger was drawn in another unit
+_UNITS = {"centimetres": 0.01, "millimetres": 0.001}
+_LIKELY = (0.02, 0.6)  # metres, the length of what is grasped
 _SMALLEST = 0.005
 MAX_FACES = 50_000  # of the surface that a camera sees
 _HAND_WIDTH, _SHORTEST, _LONGEST = 0.065, 0.06, 0.25  # metres, see hand_scale
-_MAX_COACD_FACES = 4000  # full scans take coacd minutes
-_NEARLY_CONVEX = 0.97  # share of its hull that a mesh fills
+_MAX_HOLES = 0.25  # share of the edges at which a mesh may end to have its holes closed
 
 
 def read_solid(path: Path, *, scale: float, concavity: float, resize: bool = False) -> Solid:
@@ -35,7 +37,7 @@ def read_solid(path: Path, *, scale: float, concavity: float, resize: bool = Fal
         concavity: coacd's threshold, 0.01 (many parts) to 1 (one).
         resize: scale the object on, see `hand_scale`, whatever its unit.
     """
-    mesh = _read(path)
+    mesh = read_triangles(path)
     _drop_unused(path, mesh)
     mesh = _tidy(path, mesh)
     if len(mesh.faces) < 4:
@@ -84,17 +86,6 @@ def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
         mesh.remove_unreferenced_vertices()
 
 
-def _read(path: Path) -> trimesh.Trimesh:
-    options = {"skip_materials": True} if path.suffix.lower() == ".obj" else {}
-    try:
-        return trimesh.load_mesh(path, process=False, **options)
-    except Exception as error:  # trimesh's readers raise whatever the damage makes them meet
-        raise ObjectError(
-            f"{path} cannot be read as a mesh ({type(error).__name__}: {error}):"
-            " export it again or remove it."
-        ) from error
-
-
 def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Vertices merged, flat triangles dropped, not too many left, holes closed, normals outward."""
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
@@ -110,7 +101,7 @@ def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         return mesh
     with np.errstate(invalid="ignore", divide="ignore"):  # a flat mesh is refused later, by name
         if not mesh.is_watertight and not was_closed:
-            closed = mesh.fill_holes()
+            closed = _open_share(mesh) < _MAX_HOLES and mesh.fill_holes()
             _tell(path, "is open: its holes are closed." if closed else "is open: it is taken as a shell.")
         inverted = mesh.is_watertight and mesh.is_winding_consistent and _signed_volume(mesh) < 0
         if not mesh.is_winding_consistent or _signed_volume(mesh) < 0:
@@ -118,6 +109,11 @@ def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         if inverted:
             _tell(path, "is inside out: its faces are turned.")
     return mesh
+
+
+def _open_share(mesh: trimesh.Trimesh) -> float:
+    """The share of the edges that only one triangle has."""
+    return float((np.bincount(mesh.edges_unique_inverse) == 1).mean())
 
 
 def _tell(path: Path, what: str) -> None:
@@ -132,10 +128,7 @@ def _signed_volume(mesh: trimesh.Trimesh) -> float:
 def _check_size(path: Path, extents: Points, scale: float) -> None:
     largest, smallest = float(extents.max()), float(extents.min())
     if largest > _LARGEST:
-        raise ObjectError(
-            f"{path} is {largest:.3g} m long with scale={scale:g}: it looks drawn in millimetres, try"
-            f" scale={scale * 0.001:g}."
-        )
+        raise ObjectError(f"{path} is {largest:.3g} m long with scale={scale:g}: {_advise(largest, scale)}.")
     if largest < _SMALLEST:
         raise ObjectError(
             f"{path} is {largest:.2g} m long with scale={scale:g}: give the scale= that yields metres."
@@ -144,88 +137,12 @@ def _check_size(path: Path, extents: Points, scale: float) -> None:
         raise ObjectError(f"{path} is flat ({smallest:.2g} m thick): a body needs volume.")
 
 
-def convex_parts(vertices: Points, faces: NDArray[np.int64], *, concavity: float) -> tuple[Points, ...]:
-    """Convex vertex clouds of at most 64 vertices that together stand for the mesh."""
-    try:
-        convex = _filled_share(vertices, faces) > _NEARLY_CONVEX
-    except QhullError:
-        return ()
-    pieces = [vertices] if convex else _decompose(vertices, faces, concavity)
-    reduced = [reduce_hull(piece) for piece in pieces]
-    return tuple(piece for piece in reduced if piece is not None)
-
-
-def _filled_share(vertices: Points, faces: NDArray[np.int64]) -> float:
-    """The share of its hull that a mesh fills.
-
-    A hole takes away the cone from the middle of the mesh to it: a pinhole in a scan hardly counts, the
-    missing lid of a box takes a sixth.
-    """
-    shape = ConvexHull(vertices)
-    triangles = vertices[faces] - vertices[shape.vertices].mean(axis=0)
-    return abs(float(np.linalg.det(triangles).sum() / 6)) / shape.volume
-
-
-def _decompose(vertices: Points, faces: NDArray[np.int64], concavity: float) -> list[Points]:
-    import coacd  # loads its shared library: only where a mesh needs it
-
-    coacd.set_log_level("error")
-    corners, triangles = simplify(vertices, faces, max_faces=_MAX_COACD_FACES)
-    # A third of coacd's own search costs a third of its time and two parts more on a mug.
-    pieces = coacd.run_coacd(
-        coacd.Mesh(corners, triangles.astype(np.int32)),
-        threshold=concavity,
-        max_ch_vertex=MAX_PART_VERTICES,
-        decimate=True,
-        mcts_nodes=10,
-        mcts_iterations=50,
-    )
-    return [np.asarray(corners, np.float64) for corners, _ in pieces]
-
-
-def simplify(
-    vertices: Points, faces: NDArray[np.int64], *, max_faces: int
-) -> tuple[Points, NDArray[np.int64]]:
-    """The mesh with at most `max_faces` triangles: vertices merged to the mean of their grid cell.
-
-    No vertex moves farther than a cell's diagonal. Cells begin at 1/200 of the longest side and grow by
-    a quarter until the triangles are few enough: on a surface of 50,000 triangles that is about 1 % of
-    the longest side, 2 mm on an object of 20 cm.
-    """
-    lower = vertices.min(axis=0)
-    cell = float(np.ptp(vertices, axis=0).max()) / 200
-    kept, simple = vertices, faces
-    while len(simple) > max_faces:
-        cells = np.floor((vertices - lower) / cell).astype(np.int64)
-        # One number a cell: sorting those takes a tenth of the time of sorting rows.
-        code = (cells[:, 0] * 1024 + cells[:, 1]) * 1024 + cells[:, 2]
-        _, owner, counts = np.unique(code, return_inverse=True, return_counts=True)
-        owner = owner.ravel()
-        kept = np.stack([np.bincount(owner, weights=column) / counts for column in vertices.T], axis=1)
-        simple = owner[faces]
-        a, b, c = simple.T
-        simple = simple[(a != b) & (b != c) & (c != a)]
-        simple = simple[np.unique(np.sort(simple, axis=1), axis=0, return_index=True)[1]]
-        cell *= 1.25
-    return kept, simple
-
-
-def reduce_hull(points: Points, max_vertices: int = MAX_PART_VERTICES) -> Points | None:
-    """At most `max_vertices` hull vertices of (N, 3) points, chosen greedily; None if they are flat.
-
-    Each step adds the vertex that stands out farthest, so what is cut off stays thin.
-    """
-    try:
-        outer = hull(points)[0]
-        if np.linalg.svd(outer - outer.mean(0), compute_uv=False)[-1] < 1e-5:
-            return None
-        if len(outer) <= max_vertices:
-            return outer
-        chosen = np.unique(np.concatenate((outer.argmin(0), outer.argmax(0)))).tolist()
-        chosen += [int(np.random.default_rng(0).integers(len(outer)))] if len(chosen) < 4 else []
-        while len(chosen) < max_vertices:
-            planes = ConvexHull(outer[chosen], qhull_options="QJ").equations
-            chosen.append(int((outer @ planes[:, :3].T + planes[:, 3]).max(1).argmax()))
-        return hull(outer[chosen])[0]
-    except QhullError:  # flat to machine precision
-        return None
+def _advise(largest: float, scale: float) -> str:
+    """What to do with an object that is too long (metres): the scales that give it a likely length."""
+    low, high = _LIKELY
+    likely = [
+        f"{unit}, try scale={scale * to_metres:g}"
+        for unit, to_metres in _UNITS.items()
+        if low <= largest * to_metres <= high
+    ]
+    return f"it looks drawn in {', or in '.join(likely)}" if likely else "give the scale= that yields metres"

@@ -1,62 +1,230 @@
-"""The same work for many objects, in one process or several, with a progress bar."""
+"""The same work for many objects, on every core, with a line that says where it is."""
 
 from __future__ import annotations
 
-import warnings
+import os
+import pickle
+import queue
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from contextlib import suppress
+from multiprocessing.connection import Connection, Pipe, wait
+from types import TracebackType
+from typing import Any
 
+import psutil
 from tqdm import tqdm
 
-from torchgrasp.interruption import serve_parent
+from torchgrasp.errors import ObjectError
+from torchgrasp.processes import count_cores, serve_parent, tell_end
+
+_MEMORY = 1e9  # bytes that a process may need
+_WORTH = 2  # objects for each process: it takes as long to start as to build one or two
+_SILENT = 1.0  # seconds until the line appears
+_BETWEEN = 10.0  # seconds between two states of it where there is no terminal
 
 
 def run_each(
-    work: Callable[[int], None], indices: Sequence[int], *, workers: int, label: str, progress: bool = True
+    work: Callable[[int], None],
+    indices: Sequence[int],
+    *,
+    workers: int | None = None,
+    label: str,
+    name: Callable[[int], str] = str,
+    progress: bool = True,
 ) -> None:
     """Call `work` for each index; its results are expected on disk.
 
+    Processes are started afresh and do not run the caller's script again, so that this needs no
+    ``if __name__ == "__main__":``. They end with this one. ObjectError names the object at which one dies.
+
     Args:
-        work: can be pickled where there are several workers, and skips what is already done.
+        work: can be pickled, and skips what is already done. What is of the caller's script cannot be
+            found from other processes: then this one does the work.
         indices: what it is called with.
-        workers: processes; one works in this process.
-        label: of the bar.
-        progress: show the bar.
+        workers: processes; None for one a core, as far as they are worth it; 1 works in this process.
+        label: of the line.
+        name: of the object of an index, for the line.
+        progress: show the line, on standard error, where the work takes more than a second.
     """
-    if not indices:
-        return
+    if workers is None:
+        most = min(count_cores(), int(psutil.virtual_memory().available // _MEMORY))
+        workers = min(most, len(indices) // _WORTH)
     workers = min(workers, len(indices))
-    with tqdm(total=len(indices), desc=label, disable=None if progress else True) as bar:
-        if workers > 1:
-            try:
-                _run_in_processes(work, indices, workers, bar)
-                return
-            except BrokenProcessPool:
-                warnings.warn(
-                    "The building processes died or could not start (a script without"
-                    " 'if __name__ == \"__main__\":'?): the objects are built in this process.",
-                    stacklevel=3,
-                )
-                bar.reset()
-        for index in indices:
-            work(index)
-            bar.update()
+    packed = pickle.dumps(work) if workers > 1 else b"__main__"
+    with _Line(len(indices), label, show=progress) as line:
+        if b"__main__" in packed:
+            for index in indices:
+                line.begin(name(index))
+                work(index)
+                line.end(name(index))
+        else:
+            _run_in_processes(packed, indices, workers, line, name)
 
 
-def _run_in_processes(work: Callable[[int], None], indices: Sequence[int], workers: int, bar: tqdm) -> None:
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=serve_parent) as pool:
-        futures = [pool.submit(work, index) for index in indices]
+def _run_in_processes(
+    work: bytes, indices: Sequence[int], workers: int, line: _Line, name: Callable[[int], str]
+) -> None:
+    waiting, builders = deque(indices), [_Builder(work) for _ in range(workers)]
+    busy: dict[Any, tuple[_Builder, int]] = {}
+
+    def begin(builder: _Builder) -> None:
+        if waiting:
+            index = waiting.popleft()
+            line.begin(name(index))
+            builder.begin(index)
+            busy[builder.pipe] = builder, index
+
+    try:
+        for builder in builders:
+            begin(builder)
+        while busy:
+            for pipe in wait(list(busy)):
+                builder, index = busy.pop(pipe)
+                builder.finish(name(index))
+                line.end(name(index))
+                begin(builder)
+    finally:
+        for builder in builders:
+            builder.kill()
+
+
+class _Builder:
+    """Another process that does the work.
+
+    Not one of multiprocessing's: those run the caller's script again, up to its main guard.
+
+    Args:
+        work: pickled.
+    """
+
+    def __init__(self, work: bytes) -> None:
+        self.pipe, theirs = Pipe()
+        code = (
+            f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve({theirs.fileno()})"
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdin=subprocess.PIPE,  # stays empty: the process ends when the system closes it
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, "OMP_NUM_THREADS": "1"},  # each has one core
+        )
+        theirs.close()
+        with suppress(OSError):  # it ended at once: `finish` tells
+            self.pipe.send_bytes(work)
+
+    def begin(self, index: int) -> None:
+        """Have an object done."""
+        with suppress(OSError):
+            self.pipe.send(index)
+
+    def finish(self, name: str) -> None:
+        """Wait until an object is done; raises what stopped it."""
         try:
-            for future in as_completed(futures):
-                future.result()
-                bar.update()
-        except (KeyboardInterrupt, BrokenProcessPool):
-            # The executor would wait for what they are at; they hold nothing that anybody misses.
-            for process in pool._processes.values():
-                process.kill()
-            raise
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+            error = self.pipe.recv()
+        except (EOFError, OSError):
+            how = tell_end(self._process.wait())
+            raise ObjectError(
+                f"{name} could not be prepared: its process {how}. Give fewer workers= where memory is"
+                " short; otherwise remove the object."
+            ) from None
+        if error is not None:
+            raise error
+
+    def kill(self) -> None:
+        """End the process; what it has not finished is not missed."""
+        self._process.kill()
+        self._process.wait()
+        self.pipe.close()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+
+def serve(descriptor: int) -> None:
+    """The life of a process that does the work: called in it, with its end of the pipe."""
+    serve_parent(sys.stdin.fileno())
+    pipe = Connection(descriptor)
+    work = pickle.loads(pipe.recv_bytes())
+    with suppress(EOFError):
+        while True:
+            pipe.send(_attempt(work, pipe.recv()))
+
+
+def _attempt(work: Callable[[int], None], index: int) -> Exception | None:
+    try:
+        work(index)
+    except Exception as error:
+        told = f"In a building process:\n{traceback.format_exc()}"
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:  # of a class that cannot travel
+            return RuntimeError(told)
+        error.add_note(told)
+        return error
+    return None
+
+
+class _Line:
+    """How far the work is and what it is at, on standard error, where it takes longer than a second.
+
+    Args:
+        total: objects.
+        label: stands in front.
+        show: whether to show it at all.
+    """
+
+    def __init__(self, total: int, label: str, *, show: bool) -> None:
+        self._total, self._label = total, label
+        self._done, self._current = 0, dict[str, None]()
+        self._start = time.time()
+        self._ended: queue.SimpleQueue[None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._show, daemon=True) if show and total else None
+
+    def begin(self, name: str) -> None:
+        """An object is begun."""
+        self._current[name] = None
+
+    def end(self, name: str) -> None:
+        """It is done."""
+        self._current.pop(name, None)
+        self._done += 1
+
+    def __enter__(self) -> _Line:
+        if self._thread is not None:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+        if self._thread is not None:
+            self._ended.put(None)
+            self._thread.join()
+
+    def _show(self) -> None:
+        """Work that is done in C code, without a call to Python for a minute, has to be told of as well."""
+        if self._is_over(_SILENT):
+            return
+        terminal = sys.stderr.isatty()
+        with tqdm(total=self._total, desc=self._label, dynamic_ncols=terminal, mininterval=0) as bar:
+            bar.start_t = self._start
+            over = False
+            while not over:
+                self._refresh(bar)
+                over = self._is_over(_SILENT if terminal else _BETWEEN)
+            self._refresh(bar)
+
+    def _is_over(self, seconds: float) -> bool:
+        try:
+            self._ended.get(timeout=seconds)
+        except queue.Empty:
+            return False
+        return True
+
+    def _refresh(self, bar: tqdm) -> None:
+        names = list(self._current)
+        bar.n = self._done
+        bar.set_postfix_str(names[0] if names else "")  # the one that has taken longest

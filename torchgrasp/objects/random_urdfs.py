@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from torchgrasp.errors import ConfigError, ObjectError
+from torchgrasp.objects.decomposition import reduce_hull
 from torchgrasp.objects.file_objects import Source
-from torchgrasp.objects.meshes import reduce_hull
+from torchgrasp.objects.mesh_files import read_bytes
 from torchgrasp.objects.packaged import PackagedObjects, package_folder
 from torchgrasp.objects.sets import SPLITS, Split
 from torchgrasp.objects.solids import Solid
@@ -89,7 +90,7 @@ def read_parts(file: Path, *, scale: np.ndarray) -> Solid:
         scale: (3,) factors to metres.
     """
     corners, faces, starts = [], [], []
-    for line in file.read_text().splitlines():
+    for line in read_bytes(file).decode(errors="replace").splitlines():
         kind, *words = line.split() or [""]
         if kind == "o":
             starts.append(len(corners))

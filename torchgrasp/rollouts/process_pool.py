@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import signal
 import threading
 from contextlib import suppress
 from multiprocessing import get_context
@@ -11,7 +10,7 @@ from multiprocessing.connection import Connection
 
 import torch
 
-from torchgrasp.interruption import serve_parent
+from torchgrasp.processes import serve_parent, tell_end
 from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
 
 _SPAWN = get_context("spawn")  # a fork would share threads and physics
@@ -62,19 +61,11 @@ class ProcessWorker(Worker):
             return self._pipe.recv_bytes()
         except (EOFError, OSError) as error:
             self._process.join(timeout=5)
-            raise WorkerLostError(f"{self._name} {_tell_end(self._process.exitcode)}") from error
+            raise WorkerLostError(f"{self._name} {tell_end(self._process.exitcode)}") from error
 
     def stop(self) -> None:
         """Kill the process; it holds nothing that anybody misses."""
         self._process.kill()
-
-
-def _tell_end(code: int | None) -> str:
-    """How a process ended, after "Worker 0 (process 7)"."""
-    if code is None or code >= 0:
-        return f"ended by itself with exit code {code}"
-    name = signal.Signals(-code).name
-    return f"was killed by {name}" + (", as it happens when memory runs out" if name == "SIGKILL" else "")
 
 
 def _serve(pipe: Connection, packed: bytes) -> None:

@@ -67,19 +67,19 @@ def prepare_resting(
     objects: ObjectSet,
     physics: Physics,
     *,
-    workers: int = 1,
+    workers: int | None = None,
     progress: bool = True,
     cache_dir: str | Path | None = None,
 ) -> None:
-    """Build the objects that the cache lacks and prove their resting poses, with a progress bar.
+    """Build the objects that the cache lacks and prove their resting poses, with a line of progress.
 
     Objects that cannot be used are passed over: the cache remembers why.
 
     Args:
         objects: the set.
         physics: in which poses are proved.
-        workers: processes; more than one needs a script with ``if __name__ == "__main__":``.
-        progress: show the bar.
+        workers: processes; None for one a core.
+        progress: show the line.
         cache_dir: see `settled_poses`.
     """
     work = partial(_prepare_one, objects, physics, cache_dir)
@@ -87,7 +87,8 @@ def prepare_resting(
     missing = [
         i for i in range(len(objects)) if i in unbuilt or not _is_settled(objects, physics, cache_dir, i)
     ]
-    run_each(work, missing, workers=workers, label="preparing objects", progress=progress)
+    named = objects.names.__getitem__
+    run_each(work, missing, workers=workers, label="preparing objects", name=named, progress=progress)
 
 
 def _is_settled(objects: ObjectSet, physics: Physics, cache_dir: str | Path | None, index: int) -> bool:
