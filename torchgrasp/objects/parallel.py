@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 import queue
-import subprocess
 import sys
 import threading
 import time
-import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from multiprocessing.connection import Connection, Pipe, wait
+from multiprocessing.connection import wait
 from types import TracebackType
 from typing import Any
 
@@ -21,7 +17,7 @@ import psutil
 from tqdm import tqdm
 
 from torchgrasp.errors import ObjectError
-from torchgrasp.processes import count_cores, serve_parent, tell_end
+from torchgrasp.processes import HelperProcess, count_cores
 
 _MEMORY = 1e9  # bytes that a process may need
 _WORTH = 2  # objects for each process: it takes as long to start as to build one or two
@@ -70,10 +66,10 @@ def run_each(
 def _run_in_processes(
     work: bytes, indices: Sequence[int], workers: int, line: _Line, name: Callable[[int], str]
 ) -> None:
-    waiting, builders = deque(indices), [_Builder(work) for _ in range(workers)]
-    busy: dict[Any, tuple[_Builder, int]] = {}
+    waiting, builders = deque(indices), [HelperProcess(work) for _ in range(workers)]
+    busy: dict[Any, tuple[HelperProcess, int]] = {}
 
-    def begin(builder: _Builder) -> None:
+    def begin(builder: HelperProcess) -> None:
         if waiting:
             index = waiting.popleft()
             line.begin(name(index))
@@ -86,87 +82,16 @@ def _run_in_processes(
         while busy:
             for pipe in wait(list(busy)):
                 builder, index = busy.pop(pipe)
-                builder.finish(name(index))
+                if (how := builder.finish()) is not None:
+                    raise ObjectError(
+                        f"{name(index)} could not be prepared: its process {how}. Give fewer workers= where"
+                        " memory is short; otherwise remove the object."
+                    )
                 line.end(name(index))
                 begin(builder)
     finally:
         for builder in builders:
             builder.kill()
-
-
-class _Builder:
-    """Another process that does the work.
-
-    Not one of multiprocessing's: those run the caller's script again, up to its main guard.
-
-    Args:
-        work: pickled.
-    """
-
-    def __init__(self, work: bytes) -> None:
-        self.pipe, theirs = Pipe()
-        code = (
-            f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import serve; serve({theirs.fileno()})"
-        )
-        self._process = subprocess.Popen(
-            [sys.executable, "-c", code],
-            stdin=subprocess.PIPE,  # stays empty: the process ends when the system closes it
-            pass_fds=[theirs.fileno()],
-            env={**os.environ, "OMP_NUM_THREADS": "1"},  # each has one core
-        )
-        theirs.close()
-        with suppress(OSError):  # it ended at once: `finish` tells
-            self.pipe.send_bytes(work)
-
-    def begin(self, index: int) -> None:
-        """Have an object done."""
-        with suppress(OSError):
-            self.pipe.send(index)
-
-    def finish(self, name: str) -> None:
-        """Wait until an object is done; raises what stopped it."""
-        try:
-            error = self.pipe.recv()
-        except (EOFError, OSError):
-            how = tell_end(self._process.wait())
-            raise ObjectError(
-                f"{name} could not be prepared: its process {how}. Give fewer workers= where memory is"
-                " short; otherwise remove the object."
-            ) from None
-        if error is not None:
-            raise error
-
-    def kill(self) -> None:
-        """End the process; what it has not finished is not missed."""
-        self._process.kill()
-        self._process.wait()
-        self.pipe.close()
-        if self._process.stdin is not None:
-            self._process.stdin.close()
-
-
-def serve(descriptor: int) -> None:
-    """The life of a process that does the work: called in it, with its end of the pipe."""
-    serve_parent(sys.stdin.fileno())
-    pipe = Connection(descriptor)
-    work = pickle.loads(pipe.recv_bytes())
-    with suppress(EOFError):
-        while True:
-            pipe.send(_attempt(work, pipe.recv()))
-
-
-def _attempt(work: Callable[[int], None], index: int) -> Exception | None:
-    try:
-        work(index)
-    except Exception as error:
-        told = f"In a building process:\n{traceback.format_exc()}"
-        try:
-            pickle.loads(pickle.dumps(error))
-        except Exception:  # of a class that cannot travel
-            return RuntimeError(told)
-        error.add_note(told)
-        return error
-    return None
 
 
 class _Line:
