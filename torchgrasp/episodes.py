@@ -10,7 +10,7 @@ from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 
 # Numbers that the steps of one trajectory share: TorchRL's collectors write the first two.
-_NUMBERS = (("collector", "traj_ids"), "traj_ids", keys.EPISODE, keys.SOURCE)
+_NUMBERS = (("collector", "traj_ids"), "traj_ids", keys.WORLD, keys.EPISODE, keys.SOURCE)
 
 
 def label_episode_success(trajectories: TensorDictBase) -> TensorDictBase:
@@ -46,7 +46,7 @@ def find_links(trajectories: TensorDictBase) -> tuple[Tensor, Tensor]:
     """Which steps of (*, T) are no padding, and which are followed by the next step of their episode.
 
     An episode goes on from a step to the next one of the tensordict unless it is done there, one of
-    the two is padding, or their ("collector", "traj_ids"), "traj_ids", EPISODE or SOURCE differ.
+    the two is padding, or they are not of one trajectory (see `find_same`).
 
     Returns:
         valid: (*, T) bool.
@@ -57,12 +57,23 @@ def find_links(trajectories: TensorDictBase) -> tuple[Tensor, Tensor]:
     valid = get_mask(trajectories)
     linked = torch.zeros_like(valid)
     linked[..., :-1] = ~done[..., :-1] & valid[..., :-1] & valid[..., 1:]
+    linked[..., :-1] &= find_same(trajectories).to(done.device)
+    return valid, linked
+
+
+def find_same(trajectories: TensorDictBase) -> Tensor:
+    """(*, T - 1) bool: which steps of (*, T) bear the numbers of the next step.
+
+    These are ("collector", "traj_ids"), "traj_ids", WORLD, EPISODE and SOURCE, as far as they are there.
+    """
+    shape = trajectories.shape
+    same = torch.ones(*shape[:-1], max(shape[-1] - 1, 0), dtype=torch.bool, device=trajectories.device)
     for key in _NUMBERS:
         number = trajectories.get(key, None)
         if number is not None:
-            number = number.reshape(done.shape)
-            linked[..., :-1] &= number[..., 1:] == number[..., :-1]
-    return valid, linked
+            number = number.reshape(shape)
+            same = same.to(number.device) & (number[..., 1:] == number[..., :-1])
+    return same
 
 
 def check_trajectories(trajectories: TensorDictBase) -> None:

@@ -76,7 +76,7 @@ def make_base() -> GraspEnv:
     torch.set_num_threads(1)
     objects = ProceduralObjects("train", num_objects=2, num_grasps=100)
     camera = RaycastCamera(CameraIntrinsics(12, 12))
-    return GraspEnv(2, objects=objects, camera=camera, horizon=HORIZON)
+    return GraspEnv(2, objects=objects, camera=camera, horizon=HORIZON, seed=0)
 
 
 def make_env(case: Case) -> TransformedEnv:

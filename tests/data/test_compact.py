@@ -280,3 +280,18 @@ def test_observations_that_are_missing_are_named():
     assert len(codec.encode(whole)) == 6
     with pytest.raises(ConfigError, match="stores no observation"):
         CompactTransitions(points_key=None, state_keys=())
+
+
+def test_flat_rollouts_are_stored_as_stacked_ones_are():
+    # Two worlds of three steps: the first is cut, the second succeeds.
+    state = torch.arange(6).reshape(2, 3)
+    end = torch.zeros(2, 3, dtype=torch.bool)
+    end[1, -1] = True
+    rollout = make_steps(state, end, torch.zeros_like(end), torch.Generator().manual_seed(0))
+    rollout["world"] = torch.arange(2)[:, None, None].expand(2, 3, 1)
+    rollout["next", "reward"][1, -1] = 1.0
+    stacked, flat = CompactTransitions().inv(rollout), CompactTransitions().inv(rollout.reshape(-1))
+    for key in stacked.keys(True, True):
+        assert torch.equal(stacked[key], flat[key]), key
+    assert stacked["stub"].flatten().int().tolist() == [0, 0, 0, 1, 0, 0, 0]
+    assert stacked["episode_success"].flatten().int().tolist() == [0, 0, 0, 0, 1, 1, 1]

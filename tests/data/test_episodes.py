@@ -23,7 +23,7 @@ def test_a_reward_before_the_end_is_no_success():
     assert not steps["episode_success"].any()
 
 
-@pytest.mark.parametrize("name", [("collector", "traj_ids"), "traj_ids", "episode", "source"])
+@pytest.mark.parametrize("name", [("collector", "traj_ids"), "traj_ids", "world", "episode", "source"])
 def test_success_stops_at_the_border_of_two_trajectories(name):
     # The first trajectory is cut off after two steps; the second succeeds after three.
     steps = make_outcomes([0, 0, 0, 0, 1], [0, 0, 0, 0, 1])

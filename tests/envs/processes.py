@@ -15,7 +15,9 @@ def make_env(num_envs: int = 1, *, first_world: int = 0, horizon: int = 3) -> Gr
     torch.set_num_threads(1)
     objects = ProceduralObjects("train", num_objects=2, num_grasps=100)
     camera = RaycastCamera(CameraIntrinsics(16, 16))
-    return GraspEnv(num_envs, objects=objects, camera=camera, horizon=horizon, first_world=first_world)
+    return GraspEnv(
+        num_envs, objects=objects, camera=camera, horizon=horizon, first_world=first_world, seed=0
+    )
 
 
 def make_cloud_env(num_envs: int = 1, *, first_world: int = 0, horizon: int = 3) -> TransformedEnv:

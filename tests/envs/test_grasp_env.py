@@ -5,6 +5,15 @@ import math
 import numpy as np
 import pytest
 import torch
+from torchrl.envs import (
+    Compose,
+    RewardClipping,
+    RewardScaling,
+    RewardSum,
+    SerialEnv,
+    TransformedEnv,
+    check_env_specs,
+)
 
 from torchgrasp.envs import GraspEnv, StartPoses
 from torchgrasp.errors import ConfigError, TorchgraspError
@@ -23,7 +32,7 @@ TO_THE_END = {"break_when_any_done": False, "break_when_all_done": True}
 
 def make_env(num_envs: int = 2, **options) -> GraspEnv:
     torch.set_num_threads(1)
-    options = {"objects": OBJECTS, "camera": CAMERA, "horizon": 5} | options
+    options = {"objects": OBJECTS, "camera": CAMERA, "horizon": 5, "seed": 0} | options
     return GraspEnv(num_envs, **options)
 
 
@@ -192,3 +201,22 @@ def test_seeds_reach_every_world():
         env.set_seed(seed, static_seed=True)
         starts.append(env.reset()["T_base_object"])
     assert not np.isclose(starts[0][:, 0, 3], starts[1][:, 0, 3]).any()
+
+
+def test_environments_without_a_seed_differ_and_a_seed_repeats_them():
+    first, second = (make_env(seed=None).reset() for _ in range(2))
+    assert not torch.equal(first["T_base_object"], second["T_base_object"])
+    envs = SerialEnv(2, [make_env, make_env])
+    both = []
+    for _ in range(2):
+        envs.set_seed(7)
+        both.append(envs.reset()["T_base_object"])
+    assert torch.equal(*both) and not torch.equal(both[0][0], both[0][1])
+
+
+def test_torchrls_reward_transforms_take_the_reward():
+    env = TransformedEnv(make_env(), Compose(RewardScaling(0.5, 2.0), RewardSum(), RewardClipping(-1.0, 1.0)))
+    check_env_specs(env)
+    steps = env.rollout(3)
+    assert steps["next", "reward"].unique().tolist() == [0.5]
+    assert steps["next", "episode_reward"][0, :, 0].tolist() == [0.5, 1.0, 1.5]

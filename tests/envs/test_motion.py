@@ -24,6 +24,7 @@ def at_rest() -> np.ndarray:
 def make_env(motion, **options) -> GraspEnv:
     torch.set_num_threads(1)
     camera = RaycastCamera(CameraIntrinsics(4, 4))
+    options = {"seed": 0} | options
     return GraspEnv(4, objects=OBJECTS, camera=camera, target_motion=motion, **options)
 
 

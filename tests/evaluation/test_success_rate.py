@@ -21,7 +21,7 @@ STAND = TensorDictModule(lambda time_left: torch.zeros(*time_left.shape[:-1], 6)
 
 def make_env(num_envs: int, horizon: int) -> GraspEnv:
     camera = RaycastCamera(CameraIntrinsics(width=12, height=12))
-    return GraspEnv(num_envs, objects=OBJECTS, camera=camera, horizon=horizon)
+    return GraspEnv(num_envs, objects=OBJECTS, camera=camera, horizon=horizon, seed=0)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ HORIZON = 30
 
 def make_env() -> GraspEnv:
     torch.set_num_threads(1)
-    return GraspEnv(2, objects=OBJECTS, camera=RaycastCamera(CameraIntrinsics(4, 4)), horizon=HORIZON)
+    return GraspEnv(2, objects=OBJECTS, camera=RaycastCamera(CameraIntrinsics(4, 4)), horizon=HORIZON, seed=0)
 
 
 def put_hand(state: TensorDict, T_base_ee: np.ndarray) -> TensorDict:

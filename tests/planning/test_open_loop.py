@@ -19,7 +19,7 @@ HORIZON, STEPS = 30, 25
 
 def make_env(num_envs: int, **options) -> GraspEnv:
     torch.set_num_threads(1)
-    options = {"objects": OBJECTS, "horizon": HORIZON, **options}
+    options = {"objects": OBJECTS, "horizon": HORIZON, "seed": 0, **options}
     return GraspEnv(num_envs, camera=RaycastCamera(CameraIntrinsics(4, 4)), **options)
 
 

@@ -17,7 +17,7 @@ imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
 def test_a_file_for_each_episode_that_tells_object_and_outcome(tmp_path):
     objects = ProceduralObjects("train", num_objects=2, num_grasps=100)
     camera = RaycastCamera(CameraIntrinsics(12, 12))
-    base = GraspEnv(2, objects=objects, camera=camera, horizon=2, first_world=5)
+    base = GraspEnv(2, objects=objects, camera=camera, horizon=2, first_world=5, seed=0)
     env = TransformedEnv(base, Compose(DepthToPoints(), SamplePoints(16)))
     paths = record_films(env, RandomAction(), tmp_path / "films", num_episodes=3, fps=4)
     with SerialPool({"test": lambda: env}) as pool:

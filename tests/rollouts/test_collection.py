@@ -26,7 +26,7 @@ STAND = TensorDictModule(lambda time_left: torch.zeros(*time_left.shape[:-1], 6)
 
 def make_env(horizon: int = 3) -> TransformedEnv:
     camera = RaycastCamera(CameraIntrinsics(width=24, height=24))
-    env = GraspEnv(NUM_ENVS, objects=OBJECTS, camera=camera, horizon=horizon)
+    env = GraspEnv(NUM_ENVS, objects=OBJECTS, camera=camera, horizon=horizon, seed=0)
     return TransformedEnv(env, Compose(DepthToPoints(), SamplePoints(16)))
 
 

@@ -39,7 +39,7 @@ def make_objects():
 
 def make_env(num_envs: int = 2):
     camera = RaycastCamera(CameraIntrinsics(width=24, height=24))
-    env = GraspEnv(num_envs, objects=make_objects(), camera=camera, horizon=HORIZON)
+    env = GraspEnv(num_envs, objects=make_objects(), camera=camera, horizon=HORIZON, seed=0)
     return TransformedEnv(env, Compose(DepthToPoints(), AggregatePoints(), SamplePoints(16)))
 
 

@@ -17,7 +17,9 @@ def run_always(*action: float) -> list[str | None]:
     policy = TensorDictModule(
         lambda time_left: torch.tensor(action).expand(*time_left.shape[:-1], -1), ["time_left"], ["action"]
     )
-    with SerialPool({"test": lambda: GraspEnv(2, objects=OBJECTS, camera=camera, horizon=20)}) as pool:
+    with SerialPool(
+        {"test": lambda: GraspEnv(2, objects=OBJECTS, camera=camera, horizon=20, seed=0)}
+    ) as pool:
         (episodes,) = pool.run("test", policy, [0])
     return [episode.failure for episode in episodes]
 

@@ -23,7 +23,7 @@ def make_env(num_envs: int) -> GraspEnv:
     torch.set_num_threads(1)
     objects = ProceduralObjects("train", num_objects=2, num_grasps=100)
     camera = RaycastCamera(CameraIntrinsics(4, 4))
-    return GraspEnv(num_envs, objects=objects, camera=camera, horizon=HORIZON)
+    return GraspEnv(num_envs, objects=objects, camera=camera, horizon=HORIZON, seed=0)
 
 
 @pytest.fixture(scope="module")

@@ -109,7 +109,9 @@ OBJECTS = ProceduralObjects("train", num_objects=2, num_grasps=100)
 def make_env(num_envs: int, *transforms, first_world: int = 0, horizon: int = 4) -> TransformedEnv:
     torch.set_num_threads(1)
     camera = RaycastCamera(CameraIntrinsics(16, 16))
-    base = GraspEnv(num_envs, objects=OBJECTS, camera=camera, horizon=horizon, first_world=first_world)
+    base = GraspEnv(
+        num_envs, objects=OBJECTS, camera=camera, horizon=horizon, first_world=first_world, seed=0
+    )
     return TransformedEnv(base, Compose(*transforms))
 
 

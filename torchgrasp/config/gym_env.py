@@ -18,7 +18,7 @@ def make_gym_env(
     policy: TrainedPolicy | str | Path = "pretrained",
     *,
     objects: Sequence[GraspObject] | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     start: Start | None = None,
     physics: Physics | None = None,
     target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",

@@ -79,7 +79,7 @@ def make_env(
     *,
     objects: Sequence[GraspObject] | None = None,
     num_envs: int = 1,
-    seed: int = 0,
+    seed: int | None = None,
     start: Start | None = None,
     physics: Physics | None = None,
     target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",
@@ -91,7 +91,7 @@ def make_env(
         policy: of `load_policy`, or what that takes.
         objects: what is grasped; by default 80 procedural objects that the pretrained policy never saw.
         num_envs: N; the batch size is [N].
-        seed: of all randomness of the scenes.
+        seed: of all randomness of the scenes; drawn if None.
         start: where episodes begin; facing the target (Sec. 6.2) by default.
         physics: masses, friction, forces and rates.
         target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (6.7), ``mixed``, or a motion itself.

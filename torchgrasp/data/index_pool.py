@@ -59,7 +59,7 @@ class IndexPool:
 
     def remove(self, rows: Tensor) -> None:
         """Take out distinct `rows` (k) int64; those not in are passed over."""
-        rows = rows[self._is_in(rows)]
+        rows = rows[self.contains(rows)]
         holes = self._find(rows)
         self._put(rows, -1)
         before, self._size = self._size, self._size - rows.numel()
@@ -78,8 +78,8 @@ class IndexPool:
     def _put(self, rows: Tensor, places: Tensor | int) -> None:
         self._place[rows - self._first] = places
 
-    def _is_in(self, rows: Tensor) -> Tensor:
-        """(k) bool: which of any `rows` (k) are members."""
+    def contains(self, rows: Tensor) -> Tensor:
+        """(k) bool: which of any `rows` (k) int64 are members."""
         local = rows - self._first
         known = (local >= 0) & (local < self._place.numel())
         known[known.clone()] = self._place[local[known]] >= 0

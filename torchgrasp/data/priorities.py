@@ -96,7 +96,7 @@ class PriorityPool(IndexPool):
 
     def set_weights(self, rows: Tensor, weights: Tensor) -> None:
         """Set the weights (k) of `rows` (k); those not in, such as stubs written since, are passed over."""
-        known = self._is_in(rows)
+        known = self.contains(rows)
         rows, weights = rows[known], weights[known]
         if rows.numel():
             self._tree.set(self._find(rows), weights)

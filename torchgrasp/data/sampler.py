@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from multiprocessing.context import get_spawning_popen
 from typing import Any, cast
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey
 from torch import Tensor
 from torchrl.data.replay_buffers.samplers import Sampler
 from torchrl.data.replay_buffers.storages import Storage
@@ -16,6 +17,8 @@ from torchgrasp.data.index_pool import IndexPool
 from torchgrasp.data.priorities import Priority, PriorityPool
 from torchgrasp.data.shares import check_shares, split_batch
 from torchgrasp.data.state_files import StateFiles
+from torchgrasp.data.storage_rows import find_filled_rows, flatten_index, read_columns, unflatten_index
+from torchgrasp.data.write_journal import WriteJournal
 from torchgrasp.errors import ConfigError, check_range
 
 STUB = "stub"
@@ -28,8 +31,10 @@ class MixtureSampler(StateFiles, Sampler):
     of shape (*, 1) or (*) that counts the names of `shares` in their order. Numbers of rows are
     `split_batch`'s (largest remainders). A source without data gives its rows to the others in
     proportion to their shares. Rows of one source stand together in the batch, in the order of
-    `shares`. Rows flagged in `skip_key` (where the storage has it) are never drawn. Fill the buffer
-    from the process that samples it.
+    `shares`. Rows flagged in `skip_key` (where the storage has it) are never drawn.
+
+    Rows count from the next batch on, whoever wrote them: this process, others that the buffer is shared
+    with, such as those of a MultiSyncCollector, or another buffer of the same storage.
 
     Draws are uniform, at a cost that does not grow with the storage, or, given a `priority`, in
     proportion to (|δ| + eps)^alpha among the rows of a source, at a cost that grows with the
@@ -81,6 +86,8 @@ class MixtureSampler(StateFiles, Sampler):
         if spans is not None and set(spans) != set(self._shares):
             raise ConfigError(f"spans of {list(spans)} were given for the sources {list(self._shares)}.")
         self._spans = dict.fromkeys(self._shares) if spans is None else dict(spans)
+        self._journal = WriteJournal()
+        self._follows = True
         self._empty()
 
     @property
@@ -107,10 +114,16 @@ class MixtureSampler(StateFiles, Sampler):
 
     def num_rows(self) -> dict[str, int]:
         """How many rows of each source can be drawn."""
+        self._catch_up(self._storage)
         return {name: len(pool) for name, pool in self._pools.items()}
 
-    def sample(self, storage: Storage, batch_size: int) -> tuple[Tensor, dict]:
-        """(batch_size) int64 row numbers, grouped by source; with a priority, their weights too."""
+    def sample(self, storage: Storage, batch_size: int) -> tuple[Any, dict]:
+        """(batch_size) int64 row numbers, grouped by source; with a priority, their weights too.
+
+        Of a storage with ``ndim`` above 1, a tuple of indices.
+        """
+        self._follows = True
+        self._catch_up(storage)
         filled = {name: share for name, share in self._shares.items() if share > 0 and len(self._pools[name])}
         if not filled:
             raise RuntimeError(
@@ -119,7 +132,7 @@ class MixtureSampler(StateFiles, Sampler):
             )
         counts = split_batch(batch_size, filled)
         rows = {name: self._pools[name].draw(count, self._rng) for name, count in counts.items() if count}
-        return torch.cat([*rows.values()]), self._weigh(rows)
+        return unflatten_index(storage, torch.cat([*rows.values()])), self._weigh(rows)
 
     def _weigh(self, rows: Mapping[str, Tensor]) -> dict[str, Tensor]:
         if self._priority is None:
@@ -134,27 +147,64 @@ class MixtureSampler(StateFiles, Sampler):
         """Take up the errors `priority` (k or one) of the rows at `index` (k); nothing without a priority."""
         if self._priority is None:
             return
-        rows = torch.as_tensor(index).reshape(-1).cpu()
+        rows = torch.as_tensor(index).reshape(-1).cpu() if storage is None else flatten_index(storage, index)
         weights = self._priority.weigh(torch.as_tensor(priority).reshape(-1)).expand(rows.shape)
         for pool in self._pools.values():
             cast(PriorityPool, pool).set_weights(rows, weights)
 
     def mark_update(self, index: int | Tensor, *, storage: Storage | None = None) -> None:
-        """Note that the rows at `index` were written; TorchRL's writers call this."""
+        """Note that the rows at `index` were written; TorchRL's writers call this, in whatever process."""
         if storage is None:
             return
-        rows = torch.as_tensor(index).reshape(-1).unique().cpu()
+        self._journal.post(flatten_index(storage, index).unique())
+        if self._follows:
+            self._catch_up(storage)
+
+    def _catch_up(self, storage: Storage | None) -> None:
+        """Sort in the rows that were written since the last time."""
+        if storage is None:
+            return
+        rows = self._journal.read()
+        # Each write is one revision and one post, unless others than this sampler's buffer wrote.
+        unposted = int(storage._mutation_revision) - self._journal.num_posts
+        known = storage is self._storage and unposted == self._unposted
+        self._storage, self._unposted = storage, unposted
+        if rows is None or not known:
+            self._sort_anew(storage)
+        elif rows.numel():
+            for pool, mine, others in self._split(storage, rows):
+                pool.remove(others)
+                pool.add(mine)
+
+    def _sort_anew(self, storage: Storage) -> None:
+        """Make the pools what the whole storage says; rows whose source is as before keep their weights."""
+        rows = find_filled_rows(storage)
+        if not rows.numel():
+            for pool in self._pools.values():
+                pool.remove(pool.members.clone())
+            return
+        for pool, mine, _ in self._split(storage, rows):
+            pool.remove(pool.members[~torch.isin(pool.members, mine)])
+            pool.add(mine[~pool.contains(mine)])
+
+    def _split(self, storage: Storage, rows: Tensor) -> list[tuple[IndexPool, Tensor, Tensor]]:
+        """For each source its pool, those of the `rows` (k) that it may draw, and the others."""
         source, skip = self._read_labels(storage, rows)
-        for number, pool in enumerate(self._pools.values()):
-            belongs = (source == number) & ~skip
-            pool.remove(rows[~belongs])
-            pool.add(rows[belongs])
+        masks = [(source == number) & ~skip for number in range(len(self._pools))]
+        return [
+            (pool, rows[mask], rows[~mask]) for pool, mask in zip(self._pools.values(), masks, strict=True)
+        ]
 
     def _read_labels(self, storage: Storage, rows: Tensor) -> tuple[Tensor, Tensor]:
-        labels = _read(storage, rows, (self._source_key, self._skip_key))
+        labels = read_columns(storage, rows, (self._source_key, self._skip_key))
         source = labels.get(self._source_key, None)
         if source is None:
             raise ConfigError(f"Rows were written without {self._source_key!r}: add an int64 source number.")
+        if source.numel() != rows.numel():
+            raise ConfigError(
+                f"Rows have {self._source_key!r} of shape {tuple(source.shape[1:])}, one number is expected: "
+                "extend the buffer with data.reshape(-1), or give its storage the data's ndim."
+            )
         source = source.reshape(-1).cpu()
         if not 0 <= int(source.min()) <= int(source.max()) < len(self._pools):
             names = dict(enumerate(self._pools))
@@ -163,17 +213,24 @@ class MixtureSampler(StateFiles, Sampler):
         return source, torch.zeros_like(source, dtype=torch.bool) if skip is None else skip.reshape(-1).cpu()
 
     def _sampleable_count(self, storage: Storage, batch_size: int) -> int:
+        self._catch_up(storage)
         return sum(len(pool) for name, pool in self._pools.items() if self._shares[name] > 0)
 
     def _empty(self) -> None:
+        self._storage: Storage | None = None
+        self._unposted: int | None = None
+        self._pools = self._make_pools()
+
+    def _make_pools(self) -> dict[str, IndexPool]:
         make = IndexPool if self._priority is None else PriorityPool
-        self._pools: dict[str, IndexPool] = {name: make(self._spans[name]) for name in self._shares}
+        return {name: make(self._spans[name]) for name in self._shares}
 
     def state_dict(self) -> dict[str, Any]:
         """Shares, and the drawable rows of each source in their order, so that draws repeat.
 
         With a priority also the weights of the rows, the largest so far, and beta.
         """
+        self._catch_up(self._storage)
         rows = {name: pool.members.clone() for name, pool in self._pools.items()}
         state: dict[str, Any] = {"shares": self.shares, "rows": rows}
         pools = {name: pool for name, pool in self._pools.items() if isinstance(pool, PriorityPool)}
@@ -199,11 +256,12 @@ class MixtureSampler(StateFiles, Sampler):
             pool.largest = state_dict["largest"][name]
             self._beta = state_dict["beta"]
 
+    def __getstate__(self) -> dict[str, Any]:
+        state = {**super().__getstate__(), "_storage": None}
+        if get_spawning_popen() is None:
+            return state
+        # A process that writes needs no pools, and would get them in memory that is shared with ours.
+        return {**state, "_pools": self._make_pools(), "_follows": False}
+
     def __repr__(self) -> str:
         return f"MixtureSampler(shares={self._shares}, rows={self.num_rows()})"
-
-
-def _read(storage: Storage, rows: Tensor, keys: tuple[NestedKey, ...]) -> TensorDictBase:
-    # MixtureStorage reads single columns; other storages hand out whole rows.
-    read_columns = getattr(storage, "read_columns", None)
-    return cast(Any, storage).get(rows) if read_columns is None else read_columns(rows, keys)

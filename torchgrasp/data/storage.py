@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import accumulate
+from multiprocessing.context import get_spawning_popen
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,8 @@ class MixtureStorage(StateFiles, Storage):
 
     Row `i` of the k-th source has the flat index `offsets[k] + i`. Regions are TorchRL's
     LazyTensorStorage or, given a `folder`, LazyMemmapStorage, made when their source's first rows
-    arrive; before that the memory or disk they will take is compared with what is free.
+    arrive, or when the storage is shared with other processes; before the first rows the memory or disk
+    they will take is compared with what is free.
 
     With `next_keys`, rows must be written in order of time, and a row's next values of these keys
     are read from the row that was written after it: `get` adds ("next", key). Every row up to the
@@ -62,6 +64,7 @@ class MixtureStorage(StateFiles, Storage):
         self._folder = None if folder is None else Path(folder)
         self._next_keys, self._end_keys = tuple(next_keys), tuple(end_keys)
         self._columns: dict[str, dict[Any, Tensor]] = {}
+        self._columns_revision = -1
         self._regions: dict[str, Any] = {name: self._make_region(name) for name in self.capacities}
 
     def _make_region(self, name: str) -> LazyTensorStorage:
@@ -115,7 +118,7 @@ class MixtureStorage(StateFiles, Storage):
     def get(self, index: Any) -> TensorDictBase:
         """Rows at flat `index` (int, slice, or integers of any shape), with ("next", key) where linked."""
         if isinstance(index, slice):
-            index = self._filled()[index]
+            index = self.filled_rows()[index]
         index = torch.as_tensor(index)
         rows = self.read_columns(index.reshape(-1), None)
         if self._next_keys:
@@ -150,21 +153,37 @@ class MixtureStorage(StateFiles, Storage):
         return TensorDict(rows, [size])
 
     def _get_columns(self, name: str) -> dict[Any, Tensor]:
-        """The filled part of each column of a region, as plain views, until the next write."""
+        """The filled part of each column of a region, as plain views, until the next write of any process."""
+        revision = self._mutation_revision
+        if revision != self._columns_revision:
+            self._columns, self._columns_revision = {}, int(revision)
         if name not in self._columns:
             rows = self._regions[name].get(slice(None))
             self._columns[name] = {key: value.as_subclass(Tensor) for key, value in rows.items(True, True)}
         return self._columns[name]
 
-    def _bump_mutation_revision(self) -> None:
-        self._columns = {}
-        super()._bump_mutation_revision()
-
     def __getstate__(self) -> dict[str, Any]:
+        if get_spawning_popen() is not None:
+            self._make_every_region()
         # Mapped files are handed over by name, plain views of them would be as copies.
-        return {**super().__getstate__(), "_columns": {}}
+        return {**super().__getstate__(), "_columns": {}, "_columns_revision": -1}
 
-    def _filled(self) -> Tensor:
+    def _make_every_region(self) -> None:
+        """Give each source its memory now: a region made later is not seen by other processes."""
+        regions = list(self._regions.values())
+        made = next((region for region in regions if region.initialized), None)
+        if made is None:
+            raise ConfigError(
+                "A replay buffer without rows was given to other processes: extend it first, with "
+                "demonstrations or one rollout, so that its memory is there to be shared."
+            )
+        for region in regions:
+            if not region.initialized:
+                region.set(torch.tensor([0]), made._storage[:1])
+                region._empty()
+
+    def filled_rows(self) -> Tensor:
+        """(k) int64: the flat indices that hold rows."""
         regions = self._regions.items()
         return torch.cat([self.offsets[name] + torch.arange(len(region)) for name, region in regions])
 
@@ -175,7 +194,7 @@ class MixtureStorage(StateFiles, Storage):
 
     def contains(self, item: int | Tensor) -> Tensor | bool:
         """Whether flat index `item` holds a row."""
-        found = torch.isin(torch.as_tensor(item), self._filled())
+        found = torch.isin(torch.as_tensor(item), self.filled_rows())
         return found if isinstance(item, Tensor) else bool(found)
 
     def state_dict(self) -> dict[str, Any]:

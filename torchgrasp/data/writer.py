@@ -28,8 +28,9 @@ class MixtureWriter(StateFiles, Writer):
     def __init__(self, *, source_key: NestedKey = keys.SOURCE) -> None:
         super().__init__()
         self._source_key = source_key
-        self._cursors: dict[str, int] = {}
-        self._write_count = 0
+        # Where each ring goes on, and how many rows were written: in memory that lies open to other
+        # processes, which may write as well.
+        self._counts = torch.zeros(0, dtype=torch.int64)
 
     def register_storage(self, storage: Storage) -> None:
         """Adopt `storage`, which must be a MixtureStorage."""
@@ -37,7 +38,12 @@ class MixtureWriter(StateFiles, Writer):
             kind = type(storage).__name__
             raise ConfigError(f"MixtureWriter was given a {kind}: build the buffer with a MixtureStorage.")
         super().register_storage(storage)
-        self._cursors = self._cursors or dict.fromkeys(storage.capacities, 0)
+        if not self._counts.numel():
+            self._counts = torch.zeros(len(storage.capacities) + 1, dtype=torch.int64).share_memory_()
+
+    @property
+    def _write_count(self) -> int:
+        return int(self._counts[-1])
 
     def add(self, data: TensorDictBase) -> int:
         """Write one row; returns its flat index."""
@@ -58,29 +64,31 @@ class MixtureWriter(StateFiles, Writer):
             self._storage.set(index[kept], data if kept.numel() == len(data) else data[kept])
             for entity in self._storage._attached_entities:
                 entity.mark_update(index[kept])
-        self._write_count += source.numel()
+        self._counts[-1] += source.numel()
         return index
 
     def _advance(self, number: int, num_rows: int) -> tuple[str, Tensor]:
-        if not 0 <= number < len(self._cursors):
-            names = dict(enumerate(self._cursors))
-            raise ConfigError(f"{self._source_key}={number} is no source: the storage has {names}.")
-        name = list(self._cursors)[number]
-        capacity, cursor = self._storage.capacities[name], self._cursors[name]
-        self._cursors[name] = (cursor + num_rows) % capacity
+        names = list(self._storage.capacities)
+        if not 0 <= number < len(names):
+            known = dict(enumerate(names))
+            raise ConfigError(f"{self._source_key}={number} is no source: the storage has {known}.")
+        name = names[number]
+        capacity, cursor = self._storage.capacities[name], int(self._counts[number])
+        self._counts[number] = (cursor + num_rows) % capacity
         rows = (cursor + torch.arange(num_rows)) % capacity
         return name, self._storage.offsets[name] + rows
 
     def _empty(self, empty_write_count: bool = True) -> None:
-        self._cursors = dict.fromkeys(self._cursors, 0)
+        self._counts[:-1] = 0
         if empty_write_count:
-            self._write_count = 0
+            self._counts[-1] = 0
 
     def state_dict(self) -> dict[str, Any]:
         """Where each ring goes on."""
-        return {"cursors": dict(self._cursors), "write_count": self._write_count}
+        cursors = dict(zip(self._storage.capacities, self._counts[:-1].tolist(), strict=True))
+        return {"cursors": cursors, "write_count": self._write_count}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Undo `state_dict`."""
-        self._cursors = dict(state_dict["cursors"])
-        self._write_count = state_dict["write_count"]
+        cursors = [state_dict["cursors"][name] for name in self._storage.capacities]
+        self._counts.copy_(torch.tensor([*cursors, state_dict["write_count"]]))

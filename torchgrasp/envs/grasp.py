@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Sequence
 from typing import Literal
 
@@ -51,7 +52,7 @@ class GraspEnv(EnvBase):
         grasp_trigger: ``horizon``: the fingers close after the last step; ``between_fingers``: after
             the first at which the target fills half of the space between them, at the last otherwise.
         object_order: ``random`` or ``cycle``, see `SceneSampler`.
-        seed: of all randomness; `set_seed` changes it.
+        seed: of all randomness; `set_seed` changes it. Drawn if None, so that two environments differ.
         first_world: number of the first world, so that several processes share out one set of worlds.
         device: of the tensors; physics runs on the CPU.
 
@@ -80,12 +81,14 @@ class GraspEnv(EnvBase):
         action_space: ActionSpaceName = "ee_delta",
         grasp_trigger: GraspTrigger = "horizon",
         object_order: Literal["random", "cycle"] = "random",
-        seed: int = 0,
+        seed: int | None = None,
         first_world: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
-        for name, value, low in (("num_envs", num_envs, 1), ("horizon", horizon, 1), ("seed", seed, 0)):
-            check_whole(name, value, low)
+        check_whole("num_envs", num_envs, 1)
+        check_whole("horizon", horizon, 1)
+        if seed is not None:
+            check_whole("seed", seed, 0)
         if grasp_trigger not in GRASP_TRIGGERS:
             raise ConfigError(
                 f"grasp_trigger={grasp_trigger!r} is unknown: give {' or '.join(GRASP_TRIGGERS)}."
@@ -98,7 +101,7 @@ class GraspEnv(EnvBase):
         self.worlds = Worlds(num_envs)
         physics = physics or Physics()
         self.actions = make_action_space(action_space, control_period=physics.control_period)
-        self._base_seed = seed
+        self._base_seed = _choose_seed(seed)
         self._scenes = SceneSampler(
             objects,
             physics=physics,
@@ -113,7 +116,7 @@ class GraspEnv(EnvBase):
         make = SpecMaker(self.batch_size, self.device)
         self.observation_spec = make.observation(self.cameras)
         self.action_spec = make.action(self.actions.bound)
-        self.reward_spec, self.done_spec = make.share(), make.done()
+        self.reward_spec, self.done_spec = make.real(1), make.done()
 
     @property
     def objects(self) -> Sequence[GraspObject]:
@@ -140,7 +143,7 @@ class GraspEnv(EnvBase):
         return self._scenes.sample(self._base_seed, self.first_world + row, episode)
 
     def _set_seed(self, seed: int | None) -> None:
-        self._base_seed = 0 if seed is None else seed
+        self._base_seed = _choose_seed(seed)
         self._episodes[:] = -1
         self._over[:] = True
 
@@ -258,3 +261,8 @@ class GraspEnv(EnvBase):
         done: Tensor = torch.from_numpy(over[:, None].copy())
         entries |= {"done": done, "terminated": done.clone(), "truncated": torch.zeros_like(done)}
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
+
+
+def _choose_seed(seed: int | None) -> int:
+    # Not torch's generator, which begins alike in every process.
+    return secrets.randbits(63) if seed is None else seed

@@ -65,7 +65,7 @@ class OpenLoopPolicy(TensorDictModuleBase):
         >>> from torchgrasp.envs import GraspEnv
         >>> from torchgrasp.objects import ProceduralObjects
         >>> objects = ProceduralObjects("train", num_objects=1, num_grasps=100)
-        >>> env = GraspEnv(2, objects=objects, horizon=30)
+        >>> env = GraspEnv(2, objects=objects, horizon=30, seed=0)
         >>> OpenLoopPolicy(objects, horizon=30)(env.reset())["action"].shape
         torch.Size([2, 6])
     """

@@ -18,7 +18,7 @@ from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.rollouts.outcomes import failure_cause
 
-# Makes a GraspEnv, usually with transforms around it.
+# Makes a GraspEnv with a seed, since each worker makes its own, usually with transforms around it.
 MakeEnv = Callable[[], Any]
 Policy = Callable[[TensorDictBase], TensorDictBase]
 # One list an episode number: that episode of every world.
@@ -98,7 +98,7 @@ class SerialPool(EpisodePool):
         >>> from torchgrasp.objects import ProceduralObjects
         >>> from torchgrasp.planning import RandomAction
         >>> objects = ProceduralObjects("train", num_objects=1, num_grasps=100)
-        >>> with SerialPool({"train": lambda: GraspEnv(2, objects=objects, horizon=3)}) as pool:
+        >>> with SerialPool({"train": lambda: GraspEnv(2, objects=objects, horizon=3, seed=0)}) as pool:
         ...     batches = list(pool.run("train", RandomAction(), [7, 8]))
         >>> [(episode.world, episode.number) for batch in batches for episode in batch]
         [(0, 7), (1, 7), (0, 8), (1, 8)]

@@ -26,7 +26,7 @@ class ProcessPool(WorkerPool):
         >>> from torchgrasp.objects import ProceduralObjects
         >>> from torchgrasp.planning import RandomAction
         >>> objects = ProceduralObjects("train", num_objects=1, num_grasps=100)
-        >>> make_env = functools.partial(GraspEnv, 2, objects=objects, horizon=3)
+        >>> make_env = functools.partial(GraspEnv, 2, objects=objects, horizon=3, seed=0)
         >>> with ProcessPool({"train": make_env}, num_workers=1) as pool:
         ...     (batch,) = pool.run("train", RandomAction(), [7])
         >>> [(episode.world, episode.number) for episode in batch]

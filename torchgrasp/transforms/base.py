@@ -10,6 +10,7 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
+from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
@@ -58,6 +59,14 @@ class PointTransform(Transform):
         for key, (shape, dtype) in self._out_shapes(observation_spec).items():
             observation_spec[key] = Unbounded(batch + tuple(shape), dtype=dtype, device=device)
         return observation_spec
+
+
+def find_container(transform: Transform) -> EnvBase | None:
+    """The environment that a transform is in, or None."""
+    try:
+        return transform.container
+    except ValueError:  # TorchRL's answer to a Compose that is in none
+        return None
 
 
 CameraName = Literal["wrist", "overhead"]

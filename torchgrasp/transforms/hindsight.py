@@ -11,6 +11,7 @@ from torchgrasp import keys
 from torchgrasp.episodes import find_outcomes
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import NO_GOAL, invert_pose, pose_to_goal
+from torchgrasp.transforms.base import find_container
 
 
 class HindsightGoal(Transform):
@@ -59,16 +60,10 @@ class HindsightGoal(Transform):
         return next_tensordict
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        if self._is_in_environment():
+        if find_container(self) is not None:
             return tensordict
         relabelled = self._relabel(tensordict.copy())
         return relabelled.exclude(keys.T_BASE_EE, ("next", keys.T_BASE_EE))
-
-    def _is_in_environment(self) -> bool:
-        try:
-            return self.container is not None
-        except ValueError:  # TorchRL's answer to a Compose that is in none
-            return False
 
     def _relabel(self, steps: TensorDictBase) -> TensorDictBase:
         names = [keys.T_BASE_EE, ("next", keys.T_BASE_EE), ("next", "reward"), ("next", "done")]
