@@ -17,7 +17,7 @@ from torchrl.envs import (
 )
 
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, MixtureSampler, Priority
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import TorchgraspError
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -108,5 +108,5 @@ def test_a_row_that_another_process_wrote_over_counts_as_new():
 def test_an_empty_mixture_buffer_is_refused_before_anything_is_collected():
     codec = CompactTransitions(points_key="state", state_keys=(), gripper_points=False)
     buffer = MixtureReplayBuffer({"online": 60, "expert": 60}, SHARES, batch_size=100, codec=codec)
-    with pytest.raises(ConfigError, match="without rows was given to other processes: extend it first"):
+    with pytest.raises(TorchgraspError, match="without rows was given to other processes: extend it first"):
         collect(MultiSyncCollector, buffer, 40)

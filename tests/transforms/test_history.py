@@ -158,7 +158,7 @@ def test_slices_that_a_buffer_draws_share_nothing():
     steps = TensorDict(
         {
             "seen": torch.arange(20.0)[:, None],
-            "episode": torch.arange(20)[:, None] // 10,
+            "episode": torch.arange(20) // 10,
             "next": {"seen": torch.arange(20.0)[:, None] + 1, "done": (torch.arange(20) % 10 == 9)[:, None]},
         },
         [20],

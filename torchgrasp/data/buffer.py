@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from multiprocessing.context import get_spawning_popen
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -138,6 +139,14 @@ class MixtureReplayBuffer(StateFiles, TensorDictReplayBuffer):
             )
         index = data["index"].reshape(-1)
         self.update_priority(index, errors.reshape(index.numel(), -1).amax(-1))
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = super().__getstate__()
+        if get_spawning_popen() is not None:
+            # A process that writes draws nothing, and the generator's state that TorchRL makes here would be
+            # gone before that process could read it.
+            state["_rng"] = None
+        return state
 
     def _tag(self, data: TensorDictBase, source: str | None) -> TensorDictBase:
         if source is None:

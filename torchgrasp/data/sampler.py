@@ -261,7 +261,12 @@ class MixtureSampler(StateFiles, Sampler):
         if get_spawning_popen() is None:
             return state
         # A process that writes needs no pools, and would get them in memory that is shared with ours.
-        return {**state, "_pools": self._make_pools(), "_follows": False}
+        del state["_pools"]
+        return {**state, "_follows": False}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pools = state.get("_pools") or self._make_pools()
 
     def __repr__(self) -> str:
         return f"MixtureSampler(shares={self._shares}, rows={self.num_rows()})"

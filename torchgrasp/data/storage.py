@@ -15,7 +15,7 @@ from torchrl.data.replay_buffers.storages import LazyMemmapStorage, LazyTensorSt
 
 from torchgrasp.data.buffer_memory import check_space, count_row_bytes
 from torchgrasp.data.state_files import StateFiles
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, TorchgraspError
 
 SUCCESSOR = "successor"
 
@@ -173,7 +173,8 @@ class MixtureStorage(StateFiles, Storage):
         regions = list(self._regions.values())
         made = next((region for region in regions if region.initialized), None)
         if made is None:
-            raise ConfigError(
+            # Not a ConfigError: TorchRL's collectors swallow every ValueError here.
+            raise TorchgraspError(
                 "A replay buffer without rows was given to other processes: extend it first, with "
                 "demonstrations or one rollout, so that its memory is there to be shared."
             )
