@@ -62,7 +62,7 @@ def test_one_bad_entry_is_a_row_and_the_others_are_listed(meshes, capsys):
 
 def test_names_of_files_reach_no_terminal_as_they_are(meshes, capsys):
     trimesh.creation.box((0.04, 0.05, 0.12)).export(meshes / "plain.stl")
-    (meshes / "plain.stl").rename(os.fsencode(meshes) + b"/\x1b[31mcaf\xe9.stl")
+    (meshes / "plain.stl").rename(meshes / os.fsdecode(b"\x1b[31mcaf\xe9.stl"))
     (meshes / "x\x1b[2J.obj").write_text("")
     assert main(["objects", "folder", "--path", str(meshes), "--num-grasps", "100"]) == 0
     told = capsys.readouterr()
