@@ -9,6 +9,7 @@ from network_passes import Encoder, compare_encoders, make_clouds
 from omegaconf import DictConfig
 from tensordict import TensorDict
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import GraspActor, GraspCritic
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
@@ -20,7 +21,8 @@ def benchmark_update(cfg: DictConfig) -> list[dict]:
 
 def make_update_pass(make: Encoder, options: dict, device: torch.device) -> tuple[Callable[[], None], int]:
     """Two critic updates and one actor update on one batch, and the number of weights."""
-    loss = GraspTD3BCLoss(GraspActor(make).to(device), GraspCritic(make).to(device)).to(device)
+    networks = GraspActor(make).to(device), GraspCritic(make).to(device)
+    loss = GraspTD3BCLoss(*networks, action_bound=ACTION_BOUND).to(device)
     targets = StaggeredTargetUpdate(loss)
     optimizer = torch.optim.Adam(loss.parameters(), lr=1e-4)
     data = _make_batch(options["batch"], options["points"]).to(device)

@@ -29,3 +29,12 @@ def find_loaded(modules):
 @pytest.mark.parametrize("modules", UNWANTED)
 def test_importing_a_part_loads_nothing_unwanted(modules):
     assert not find_loaded(modules) & UNWANTED[modules]
+
+
+def test_without_sapien_losses_work_and_the_simulation_says_what_to_install():
+    parts = "import torchgrasp.objectives, torchgrasp.modules, torchgrasp.data"
+    code = f"import sys; sys.modules['sapien'] = None; {parts}; print('loaded'); import torchgrasp.envs"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "loaded"
+    assert "MissingPackageError: The simulation needs sapien" in done.stderr.splitlines()[-1]
+    assert "pip install sapien" in done.stderr.splitlines()[-1]

@@ -23,6 +23,14 @@ class ConfigError(TorchgraspError, ValueError):
     """A value that an argument cannot take."""
 
 
+class MissingPackageError(TorchgraspError, ImportError):
+    """A package that is not installed, or does not load; the message says how to install it."""
+
+
+class UnsupportedError(ConfigError, NotImplementedError):
+    """A choice that TorchRL knows and a part of ours does not offer; TorchRL raises NotImplementedError."""
+
+
 class ObjectError(TorchgraspError):
     """An object or mesh that cannot be used; the message names it."""
 

@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.objectives.grasp_loss import GraspLoss
 
@@ -53,7 +54,13 @@ def make_aux(names: Names, **options) -> GraspLoss:
 
 def make_td3(names: Names, **options) -> GraspLoss:
     loss = GraspTD3BCLoss(
-        make_actor(names), make_critic(names), policy_noise=0.0, hindsight=True, bc_weight=0.3, **options
+        make_actor(names),
+        make_critic(names),
+        policy_noise=0.0,
+        hindsight=True,
+        bc_weight=0.3,
+        action_bound=ACTION_BOUND,
+        **options,
     )
     StaggeredTargetUpdate(loss)
     return loss
@@ -97,8 +104,10 @@ def make_batch(*shape: int) -> TensorDict:
         "episode_success": chance(),
         "perturbed": chance(),
         "priority_weight": torch.rand(shape, generator=generator) + 0.5,
+        "steps_to_next_obs": torch.randint(2, 4, (*shape, 1), generator=generator),
         "next": {"observation": normal(STATE), "reward": normal(1), "terminated": chance()},
     }
+    entries["next"]["done"] = entries["next"]["terminated"] | chance()
     return TensorDict(entries, shape)
 
 

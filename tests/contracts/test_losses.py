@@ -9,7 +9,7 @@ from dataclasses import fields
 
 import pytest
 import torch
-from tensordict import TensorDict, unravel_key
+from tensordict import TensorDict, lazy_stack, unravel_key
 from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
@@ -19,6 +19,8 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss
 
 MASKS = ("has_expert", "has_goal", "episode_success", "perturbed", ("next", "terminated"))
+# TD(0) does not read it; tests/objectives/test_bootstrapped_loss.py has the estimators that do.
+UNREAD = ("next", "done")
 
 
 @pytest.fixture(params=CASES, ids=lambda case: case.kind.__name__)
@@ -68,7 +70,7 @@ def test_every_in_key_counts(case, batch):
     """Without it there is an error, or, of masks and weights, another number."""
     loss = case()
     expected = loss(batch.clone())
-    for key in loss.in_keys:
+    for key in (key for key in loss.in_keys if key != UNREAD):
         try:
             out = loss(batch.exclude(key))
         except ConfigError as error:
@@ -81,7 +83,7 @@ def test_every_accepted_key_can_be_set(case, batch):
     """All names nested at once: networks and batch follow, and so do the numbers."""
     expected = case()(batch.clone())
     names: Names = {field.name: ("set", f"my_{field.name}") for field in fields(case.kind.default_keys)}
-    below_next = {"reward", "terminated"}
+    below_next = {"reward", "done", "terminated"}
     renamed = batch.clone()
     for name, key in names.items():
         prefix = ("next",) if name in below_next else ()
@@ -140,6 +142,35 @@ def test_weights_scale_each_sample(case, batch):
     loss.use_prioritized_weights = False
     assert "priority_weight" not in loss.in_keys
     assert_same(loss(batch.clone()), case()(batch.exclude("priority_weight")))
+
+
+def test_weights_can_be_switched_off_at_construction(case, batch):
+    assert_same(case(use_prioritized_weights=False)(batch.clone()), case()(batch.exclude("priority_weight")))
+    for given in (True, "auto"):
+        assert_same(case(use_prioritized_weights=given)(batch.clone()), case()(batch.clone()))
+
+
+def test_no_reduction_named_is_the_mean(case, batch):
+    assert case(reduction=None).reduction == "mean"
+    assert_same(case(reduction=None)(batch.clone()), case()(batch.clone()))
+
+
+def test_a_lazy_stack_is_a_batch(case, batch):
+    """As collectors hand over what they gathered row by row; priorities are written into it too."""
+    loss, lazy, dense = case(), lazy_stack(list(batch.clone().unbind(0))), batch.clone()
+    assert_same(loss(lazy), loss(dense))
+    assert ("td_error" in dense) == ("td_error" in lazy)
+    if "td_error" in dense:
+        torch.testing.assert_close(lazy["td_error"], dense["td_error"])
+
+
+@pytest.mark.parametrize("randomness", ["error", "same", "different"])
+def test_the_randomness_of_vmap_can_be_set(case, batch, randomness):
+    """Nothing is mapped here, so it changes nothing."""
+    loss = case()
+    loss.set_vmap_randomness(randomness)
+    assert loss.vmap_randomness == randomness
+    assert_same(loss(batch.clone()), case()(batch.clone()))
 
 
 def test_uniform_weights_change_no_mean(case, batch):
@@ -314,3 +345,5 @@ def test_compiled_whole_it_computes_the_same(case, batch):
 def test_wrong_options_say_what_to_do(case):
     with pytest.raises(ConfigError, match="average"):
         case(reduction="average")
+    with pytest.raises(ConfigError, match="use_prioritized_weights='always'"):
+        case(use_prioritized_weights="always")

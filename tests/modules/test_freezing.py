@@ -6,6 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import GraspActor, GraspCritic, PointNet, PointNet2, ResNet18
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
@@ -40,7 +41,7 @@ def state_of(module):
 @pytest.mark.parametrize("kind", ["cloud", "cloud with batch norm", "image"])
 def test_encoders_stay_and_heads_learn(kind):
     actor, critic = make_networks(kind)
-    loss = GraspTD3BCLoss(actor, critic)
+    loss = GraspTD3BCLoss(actor, critic, action_bound=ACTION_BOUND)
     targets = StaggeredTargetUpdate(loss, tau=0.5, period=1)
     loss.train()
     before = [state_of(network.module) for network in (actor, critic)]
@@ -72,7 +73,7 @@ def test_freezing_a_module_leaves_its_other_owners_alone(make):
 
 def test_training_mode_passes_a_frozen_encoder_by():
     actor, critic = make_networks("image")
-    loss = GraspTD3BCLoss(actor, critic)
+    loss = GraspTD3BCLoss(actor, critic, action_bound=ACTION_BOUND)
     for _ in range(2):
         loss.train()
         for network in (loss.actor_network, loss.critic_network):
@@ -89,7 +90,7 @@ def test_the_actor_learns_through_a_frozen_critic(kind):
     actor, critic = make_networks(kind)
     for value_head in critic.module.value_heads:
         value_head.requires_grad_(False)
-    loss = GraspTD3BCLoss(actor, critic, bc_weight=0.0, aux_weight=0.0)
+    loss = GraspTD3BCLoss(actor, critic, action_bound=ACTION_BOUND, bc_weight=0.0, aux_weight=0.0)
     loss.actor_loss(make_batch())["loss_actor_ddpg"].backward()
     head = actor.module.action_head
     assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in head.parameters())
@@ -100,6 +101,6 @@ def test_a_frozen_network_takes_the_weights_of_one_that_was_not():
     trained, frozen = GraspActor(CLOUD), GraspActor(CLOUD, freeze_encoder=True)
     frozen.load_state_dict(trained.state_dict())
     batch = make_batch()
-    with torch.no_grad():  # with a graph the trained one computes its winners anew, rounded differently
-        assert torch.equal(frozen(batch.clone())["action"], trained(batch.clone())["action"])
+    # The one with a graph may take another path through the same sums, and round otherwise.
+    torch.testing.assert_close(frozen(batch.clone())["action"], trained(batch.clone())["action"])
     assert not any(p.requires_grad for p in frozen.module.encoder.parameters())

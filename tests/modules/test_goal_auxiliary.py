@@ -7,6 +7,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic, PointNet
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss
 
@@ -35,7 +36,7 @@ def make_batch(size=6):
 def test_every_cell_trains(actor_reads, actor_predicts, critic_reads, critic_predicts):
     actor = GraspActor(SMALL, goal_input=actor_reads, goal_prediction=actor_predicts)
     critic = GraspCritic(SMALL, goal_input=critic_reads, goal_prediction=critic_predicts)
-    loss, batch = GraspTD3BCLoss(actor, critic), make_batch()
+    loss, batch = GraspTD3BCLoss(actor, critic, action_bound=ACTION_BOUND), make_batch()
     assert (("next", "goal") in loss.in_keys) is (actor_reads or critic_reads)
     out = loss(batch).to_dict()
     terms = {key for key in out if key.startswith("loss_")}
@@ -60,7 +61,7 @@ def test_the_target_reads_the_goal_of_the_next_state(reader):
     for network in (actor, critic):
         for name, parameter in network.named_parameters():
             parameter.data = torch.randn_like(parameter) if "head" in name else parameter.data
-    loss, batch = GraspTD3BCLoss(actor, critic, policy_noise=0.0), make_batch()
+    loss, batch = GraspTD3BCLoss(actor, critic, action_bound=ACTION_BOUND, policy_noise=0.0), make_batch()
     moved = batch.clone().set("goal", -batch["goal"])
     later = batch.clone()
     later["next", "goal"] = -batch["next", "goal"]

@@ -9,7 +9,6 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import make_pose
 from torchgrasp.objectives.functional import (
     action_distance,
-    bellman_target,
     goal_distance,
     masked_mean,
     pose_distance,
@@ -110,11 +109,3 @@ def test_an_empty_mask_gives_zero_with_its_graph():
     assert mean.item() == 0.0
     assert values.grad is not None
     assert values.grad.tolist() == [0.0, 0.0]
-
-
-def test_bellman_target():
-    reward = torch.tensor([[0.0], [1.0], [0.5]])
-    terminated = torch.tensor([[False], [True], [True]])
-    following = torch.tensor([[0.8, 0.6], [0.9, 0.9], [torch.nan, 0.0]])
-    found = bellman_target(reward, terminated, following, 0.95)
-    torch.testing.assert_close(found, torch.tensor([[0.57], [1.0], [0.5]]))

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, StaggeredTargetUpdate
 
 
@@ -12,7 +13,7 @@ def _terms(kind, constant_actor, constant_critic, *, gated):
     if kind == "alone":
         loss = GoalAuxLoss(actor, success_only=gated)
         return lambda batch: loss(batch)["loss_aux"], actor
-    loss = GraspTD3BCLoss(actor, critic, hindsight=gated)
+    loss = GraspTD3BCLoss(actor, critic, hindsight=gated, action_bound=ACTION_BOUND)
     StaggeredTargetUpdate(loss)
     if kind == "actor":
         return lambda batch: loss.actor_loss(batch)["loss_actor_aux"], actor
@@ -73,7 +74,13 @@ def test_other_terms_do_not_pass_the_gate(constant_actor, constant_critic, batch
     """Imitation and reinforcement learn from failures too."""
     outs = []
     for success in ([True] * 4, [False] * 4):
-        loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.4, 0.2)), hindsight=True, policy_noise=0.0)
+        loss = GraspTD3BCLoss(
+            constant_actor(),
+            constant_critic((0.4, 0.2)),
+            hindsight=True,
+            policy_noise=0.0,
+            action_bound=ACTION_BOUND,
+        )
         StaggeredTargetUpdate(loss)
         outs.append(loss(_outcome(batch, success)))
     for key in ("loss_qvalue", "loss_actor_bc", "loss_actor_ddpg"):

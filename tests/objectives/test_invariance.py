@@ -12,9 +12,7 @@ from torchgrasp.geometry import action_to_pose, goal_to_pose, make_pose, transfo
 from torchgrasp.objectives import PoseBCLoss
 from torchgrasp.objectives.functional import (
     action_distance,
-    bellman_target,
     goal_distance,
-    masked_mean,
     pose_distance,
 )
 
@@ -106,17 +104,6 @@ def test_derivatives_of_distances(distance, size, norm):
 def test_derivatives_of_pose_distance(norm):
     given = tuple(_poses(3, seed=seed).requires_grad_() for seed in range(2))
     assert gradcheck(functools.partial(pose_distance, norm=norm), given)
-
-
-def test_derivatives_of_the_bellman_error():
-    reward, following, value = _random(5, 1), _random(5, 2, seed=1), _random(5, 2, seed=2)
-    terminated = torch.tensor([[False], [True], [False], [False], [True]])
-
-    def loss(reward, following, value):
-        y = bellman_target(reward, terminated, following, 0.9)
-        return masked_mean(0.5 * (value - y).square().sum(-1), ~terminated.squeeze(-1))
-
-    assert gradcheck(loss, tuple(each.requires_grad_() for each in (reward, following, value)))
 
 
 def test_derivatives_of_conversions():

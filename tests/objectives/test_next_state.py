@@ -5,6 +5,7 @@ import torch
 from tensordict.nn import TensorDictModule
 
 from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
 
@@ -16,7 +17,7 @@ def make_loss(constant_actor, constant_critic):
         networks = {"actor": constant_actor(), "critic": constant_critic()}
         module = networks[reader]
         networks[reader] = TensorDictModule(module.module, [*module.in_keys, "goal"], list(module.out_keys))
-        loss = GraspTD3BCLoss(networks["actor"], networks["critic"])
+        loss = GraspTD3BCLoss(networks["actor"], networks["critic"], action_bound=ACTION_BOUND)
         StaggeredTargetUpdate(loss)
         return loss
 
@@ -39,14 +40,14 @@ def test_the_actor_side_needs_no_next_state(make_loss, batch):
 
 @pytest.mark.parametrize("missing", ["next", ("next", "reward"), ("next", "terminated")])
 def test_missing_ends_are_named(constant_actor, constant_critic, batch, missing):
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic())
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic(), action_bound=ACTION_BOUND)
     StaggeredTargetUpdate(loss)
     with pytest.raises(ConfigError, match=missing[-1] if isinstance(missing, tuple) else missing):
         loss.critic_loss(batch.exclude(missing))
 
 
 def test_a_missing_state_is_named(constant_actor, constant_critic, batch):
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic())
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic(), action_bound=ACTION_BOUND)
     with pytest.raises(ConfigError, match="time_left"):
         loss.actor_loss(batch.exclude("time_left"))
 
@@ -54,7 +55,7 @@ def test_a_missing_state_is_named(constant_actor, constant_critic, batch):
 def test_the_next_value_counts_and_the_present_one_does_not(constant_actor, batch):
     """Q = goal's x of the next state: y is read off it, whatever the present goal is."""
     critic = TensorDictModule(lambda goal: goal[..., :1], ["goal"], ["q"])
-    loss = GraspTD3BCLoss(constant_actor(goal=None), critic, bc_weight=0.0)
+    loss = GraspTD3BCLoss(constant_actor(goal=None), critic, bc_weight=0.0, action_bound=ACTION_BOUND)
     StaggeredTargetUpdate(loss)
     loss.set_keys(state_action_value="q")
     batch["next", "goal"] = torch.full((4, 7), 0.3)

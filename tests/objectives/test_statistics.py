@@ -5,6 +5,7 @@ import torch
 from tensordict.nn import TensorDictModule
 from torch import nn
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
 
@@ -34,7 +35,7 @@ def networks():
 
 
 def make_loss(networks):
-    loss = GraspTD3BCLoss(*networks)
+    loss = GraspTD3BCLoss(*networks, action_bound=ACTION_BOUND)
     StaggeredTargetUpdate(loss)
     return loss
 

@@ -6,6 +6,7 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 
 from torchgrasp.errors import ConfigError
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
 
 NAME = ("module", "outputs", "0")
@@ -17,7 +18,7 @@ def _shift(params, by):
 
 def test_schedule(constant_actor, constant_critic):
     """Online values jump from 0 to 1: after n soft steps of 0.1 the target is 1 - 0.9^n."""
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)))
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)), action_bound=ACTION_BOUND)
     updater = StaggeredTargetUpdate(loss, tau=0.1, period=3)
     _shift(loss.critic_network_params, 1.0)
     _shift(loss.actor_network_params, 1.0)
@@ -31,7 +32,7 @@ def test_schedule(constant_actor, constant_critic):
 
 
 def test_copies_are_copies(constant_actor, constant_critic):
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)))
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)), action_bound=ACTION_BOUND)
     updater = StaggeredTargetUpdate(loss, period=1)
     updater.step()
     _shift(loss.critic_network_params, 5.0)
@@ -39,7 +40,7 @@ def test_copies_are_copies(constant_actor, constant_critic):
 
 
 def test_copy_sets_every_target(constant_actor, constant_critic):
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)))
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)), action_bound=ACTION_BOUND)
     updater = StaggeredTargetUpdate(loss, tau=0.1, period=3)
     _shift(loss.critic_network_params, 2.0)
     _shift(loss.actor_network_params, 2.0)
@@ -51,7 +52,7 @@ def test_copy_sets_every_target(constant_actor, constant_critic):
 
 def test_in_a_list_the_first_follows_and_the_others_are_copied(constant_actor, constant_critic):
     critics = [constant_critic((0.0,)) for _ in range(3)]
-    loss = GraspTD3BCLoss(constant_actor(), critics)
+    loss = GraspTD3BCLoss(constant_actor(), critics, action_bound=ACTION_BOUND)
     updater = StaggeredTargetUpdate(loss, tau=0.25, period=2)
     for critic in critics:
         critic.module.outputs[0].data += 1
@@ -68,7 +69,7 @@ def test_buffers_go_along(constant_actor, batch):
     critic = TensorDictModule(
         _Joined(network), in_keys=["time_left", "action"], out_keys=["state_action_value"]
     )
-    loss = GraspTD3BCLoss(constant_actor(goal=None), critic, bc_weight=0.0)
+    loss = GraspTD3BCLoss(constant_actor(goal=None), critic, bc_weight=0.0, action_bound=ACTION_BOUND)
     updater = StaggeredTargetUpdate(loss, tau=0.5, period=2)
     statistics = ("module", "network", "0", "running_mean")
     loss.critic_network_params[statistics].fill_(1.0)
@@ -89,7 +90,7 @@ class _Joined(nn.Module):
 
 def test_the_counter_resumes(constant_actor, constant_critic):
     def make():
-        loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)))
+        loss = GraspTD3BCLoss(constant_actor(), constant_critic((0.0, 0.0)), action_bound=ACTION_BOUND)
         return loss, StaggeredTargetUpdate(loss, period=3)
 
     (first, updater), (second, resumed) = make(), make()
@@ -103,12 +104,14 @@ def test_the_counter_resumes(constant_actor, constant_critic):
 
 
 def test_wrong_use_says_what_to_do(constant_actor, constant_critic):
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic(), staggered_targets=False)
+    loss = GraspTD3BCLoss(
+        constant_actor(), constant_critic(), staggered_targets=False, action_bound=ACTION_BOUND
+    )
     with pytest.raises(ConfigError, match="staggered_targets=True"):
         StaggeredTargetUpdate(loss)
     with pytest.raises(ConfigError, match="PoseBCLoss"):
         StaggeredTargetUpdate(PoseBCLoss(constant_actor()))
-    loss = GraspTD3BCLoss(constant_actor(), constant_critic())
+    loss = GraspTD3BCLoss(constant_actor(), constant_critic(), action_bound=ACTION_BOUND)
     for wrong in ({"tau": 1.5}, {"period": 0}, {"period": 2.5}):
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             StaggeredTargetUpdate(loss, **wrong)

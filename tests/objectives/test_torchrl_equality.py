@@ -13,6 +13,7 @@ from torchrl.data import Bounded
 from torchrl.modules import MLP, Actor, ValueOperator
 from torchrl.objectives import DDPGLoss, HardUpdate, SoftUpdate, TD3Loss
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.objectives import GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
 
 GAMMA = 0.9
@@ -220,7 +221,9 @@ def test_full_imitation_is_pose_bc():
     torch.manual_seed(0)
     actor = Actor(MLP(3, 6, num_cells=[8]), in_keys=["observation"])
     critic = ValueOperator(MLP(9, 1, num_cells=[8]), in_keys=["observation", "action"])
-    both = GraspTD3BCLoss(actor, [critic, deepcopy(critic)], bc_weight=1.0, aux_weight=0.0)
+    both = GraspTD3BCLoss(
+        actor, [critic, deepcopy(critic)], bc_weight=1.0, aux_weight=0.0, action_bound=ACTION_BOUND
+    )
     StaggeredTargetUpdate(both)
     alone = PoseBCLoss(actor)
     for shape in SHAPES:

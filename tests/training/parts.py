@@ -3,6 +3,7 @@
 import torch
 from tensordict import TensorDict
 
+from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic, PointNet
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training import ActorCriticLearner, ImitationLearner
@@ -35,7 +36,7 @@ def make_imitation_learner(*, goal_input: bool = False, seed: int = 0) -> Imitat
 def make_actor_critic(*, policy_delay: int = 2, seed: int = 0) -> ActorCriticLearner:
     torch.manual_seed(seed)
     networks = {"actor": GraspActor(small_encoder), "critic": GraspCritic(small_encoder)}
-    loss = GraspTD3BCLoss(networks["actor"], networks["critic"])
+    loss = GraspTD3BCLoss(networks["actor"], networks["critic"], action_bound=ACTION_BOUND)
     loss.make_value_estimator(gamma=0.9)
     return ActorCriticLearner(
         networks,

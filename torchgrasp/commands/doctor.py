@@ -81,7 +81,7 @@ def check_versions() -> list[Check]:
     fits = (3, 11) <= tuple(map(int, platform.python_version_tuple()[:2])) <= (3, 13)
     checks = [Check("python", fits, python, f"make an environment with Python {needed}")]
     try:
-        wanted = [each for each in _requirements() if each.marker is None]
+        wanted = [each for each in _requirements() if _applies(each)]
     except PackageNotFoundError:
         return [*checks, Check("torchgrasp", False, "not installed", "pip install -c constraints.txt -e .")]
     return checks + [_check_package(each) for each in wanted]
@@ -96,7 +96,7 @@ def check_extras() -> list[Check]:
         return []  # check_versions has said that torchgrasp is not installed
     for each in wanted:
         for extra in ("ycb", "random-urdfs", "acronym", "gym", "minari", "viz", "wandb", "sweeps", "ray"):
-            if each.marker is not None and not each.extras and each.marker.evaluate({"extra": extra}):
+            if not each.extras and not _applies(each) and _applies(each, extra):
                 groups.setdefault(extra, []).append(_check_package(each))
     return [
         Check(
@@ -116,6 +116,20 @@ def _requirements() -> list[Any]:
     return [Requirement(line) for line in requires("torchgrasp") or ()]
 
 
+def _applies(wanted: Any, extra: str = "") -> bool:
+    """Whether a requirement holds on this machine, for the extra or without one."""
+    return wanted.marker is None or wanted.marker.evaluate({"extra": extra})
+
+
+def _spared() -> set[str]:
+    """Packages that are required on other machines and not on this one, which has no wheels of them."""
+    try:
+        wanted = _requirements()
+    except PackageNotFoundError:
+        return set()
+    return {each.name for each in wanted if not _applies(each) and "extra" not in str(each.marker)}
+
+
 def _check_package(wanted: Any) -> Check:
     try:
         found = version(wanted.name)
@@ -128,12 +142,14 @@ def _check_package(wanted: Any) -> Check:
 
 def check_imports() -> list[Check]:
     """Compiled packages that are installed and yet do not load; nothing where all do."""
-    failed = []
+    failed, spared = [], _spared()
     for name in _IMPORTED:
+        package = name.split(".")[0]
+        if package in spared:
+            continue
         try:
             importlib.import_module(name)
         except Exception as error:  # a library that does not load raises whatever it likes
-            package = name.split(".")[0]
             remedy = f"pip install --force-reinstall -c constraints.txt {package}"
             failed.append(Check(f"import {package}", False, _one_line(error), remedy))
     return failed
@@ -159,7 +175,7 @@ def check_physics() -> Check:
         system.step()
         return "PhysX steps a scene on the CPU"
 
-    return _attempt("physics", step, "pip install --force-reinstall sapien")
+    return _attempt("physics", step, "pip install --force-reinstall sapien", core="sapien" not in _spared())
 
 
 def check_rays() -> Check:
@@ -180,7 +196,8 @@ def check_rays() -> Check:
             raise RuntimeError(f"a ray of 1 m came back as {distance} m")
         return "a ray hits where it should"
 
-    return _attempt("camera=raycast", cast, "pip install --force-reinstall embreex")
+    remedy = "pip install --force-reinstall embreex"
+    return _attempt("camera=raycast", cast, remedy, core="embreex" not in _spared())
 
 
 def check_cache() -> Check:

@@ -11,11 +11,18 @@ from tensordict.nn import TensorDictModuleBase
 from torch.optim import Adam
 
 from torchgrasp import keys
+from torchgrasp.config.environments import make_actions
 from torchgrasp.config.networks import begin_networks, make_networks
 from torchgrasp.config.parts import build
 from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
 from torchgrasp.modules.goal_keys import predicts_goal
-from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss, StaggeredTargetUpdate, functional
+from torchgrasp.objectives import (
+    GoalAuxLoss,
+    GraspTD3BCLoss,
+    PoseBCLoss,
+    StaggeredTargetUpdate,
+    functional,
+)
 from torchgrasp.objectives.grasp_loss import Distance
 from torchgrasp.runs.checkpoint import checkpoint_exists
 from torchgrasp.training import ActorCriticLearner, ImitationLearner
@@ -31,7 +38,7 @@ def make_imitation_learner(cfg: DictConfig) -> ImitationLearner:
 def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
     """Actor, critic, and goal network where the actor reads goals, with the losses of Eq. (3) to (5)."""
     networks = _first_networks(cfg, critic=True)
-    loss = build(cfg.loss, networks["actor"], networks["critic"]).to(cfg.device)
+    loss = _make_loss(cfg, networks).to(cfg.device)
     loss.make_value_estimator(gamma=cfg.online.gamma)
     return ActorCriticLearner(
         networks,
@@ -41,6 +48,13 @@ def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
         optimizers=_make_optimizers(networks),
         policy_delay=cfg.online.policy_delay,
     )
+
+
+def _make_loss(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> GraspTD3BCLoss:
+    """The loss of actor and critic, within limits of its own or else those of the environment's actions."""
+    own = [name for name in ("action_bound", "action_spec") if cfg.loss.get(name) is not None]
+    limits = {} if own else {"action_bound": make_actions(cfg).bound}
+    return build(cfg.loss, networks["actor"], networks["critic"], **limits)
 
 
 def _first_networks(cfg: DictConfig, *, critic: bool) -> dict[str, TensorDictModuleBase]:

@@ -77,19 +77,6 @@ def masked_mean(values: Tensor, mask: Tensor | None = None, weights: Tensor | No
     return values.sum() / torch.where(count > 0, count, 1.0)
 
 
-def bellman_target(reward: Tensor, terminated: Tensor, next_values: Tensor, gamma: float | Tensor) -> Tensor:
-    """Target y of Eq. (3): reward + gamma * the least of the next values, unless terminated.
-
-    `reward` and `terminated` are (*, 1), `next_values` (*, Q); the result is (*, 1).
-
-    Example:
-        >>> bellman_target(torch.tensor([1.0]), torch.tensor([False]), torch.tensor([0.8, 0.4]), 0.5)
-        tensor([1.2000])
-    """
-    least = next_values.amin(dim=-1, keepdim=True)
-    return reward + gamma * torch.where(terminated, 0.0, least)
-
-
 def _one_dtype(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
     """Both in the wider of their types: a label keeps its digits beside a bfloat16 prediction."""
     dtype = torch.promote_types(first.dtype, second.dtype)

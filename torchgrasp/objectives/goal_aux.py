@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictParams, dispatch
@@ -20,7 +21,8 @@ class GoalAuxLoss(GraspLoss):
         network: any module that writes a goal prediction (*, 7): an actor or a critic.
         distance: between (*, 7) goals, (*) per sample; L_POSE of Eq. (2) by default.
         success_only: multiply each sample by its episode's success, r_T of Eq. (5).
-        reduction: 'mean' (over the samples that carry a goal), 'sum' or 'none'.
+        reduction: 'mean' (over the samples that carry a goal; None is the same), 'sum' or 'none'.
+        use_prioritized_weights: whether weights of prioritised replay count; 'auto', where there are some.
 
     Example:
         >>> import torch
@@ -50,9 +52,10 @@ class GoalAuxLoss(GraspLoss):
         *,
         distance: Distance = functional.goal_distance,
         success_only: bool = False,
-        reduction: str = "mean",
+        reduction: str | None = None,
+        use_prioritized_weights: bool | Literal["auto"] = "auto",
     ) -> None:
-        super().__init__(reduction=reduction)
+        super().__init__(reduction=reduction, use_prioritized_weights=use_prioritized_weights)
         self._adopt(network, "network")
         self.distance, self.success_only = distance, success_only
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from tensordict import TensorDictBase
@@ -26,11 +26,19 @@ class GraspLoss(LossModule):
     reduction: str
     _selected: list[NestedKey] | None = None
 
-    def __init__(self, *, reduction: str = "mean") -> None:
+    def __init__(
+        self, *, reduction: str | None = None, use_prioritized_weights: bool | Literal["auto"] = "auto"
+    ) -> None:
         super().__init__()
-        if reduction not in ("mean", "sum", "none"):
+        if reduction not in (None, "mean", "sum", "none"):
             raise ConfigError(f"reduction={reduction!r} is unknown: choose 'mean', 'sum' or 'none'.")
-        self.reduction = reduction
+        if use_prioritized_weights not in (True, False, "auto"):
+            raise ConfigError(
+                f"use_prioritized_weights={use_prioritized_weights!r} is unknown: choose True, False or "
+                "'auto', the weights where a batch has them."
+            )
+        self.reduction = "mean" if reduction is None else reduction
+        self.use_prioritized_weights = use_prioritized_weights
 
     def train(self, mode: bool = True) -> GraspLoss:
         """Set the mode of the loss and, unlike LossModule, of its networks."""
@@ -51,6 +59,9 @@ class GraspLoss(LossModule):
 
     def _terms(self) -> list[NestedKey]:
         raise NotImplementedError
+
+    def _make_vmap(self) -> None:
+        """Nothing: no network runs under a vmap of the loss, so each draws random numbers of its own."""
 
     def _adopt(self, network: Any, name: str, *, with_target: bool = False) -> None:
         """Take over the parameters of a network that reads and writes tensordicts."""

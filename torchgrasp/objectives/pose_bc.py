@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictParams, dispatch
@@ -25,7 +26,8 @@ class PoseBCLoss(GraspLoss):
         distance: between (*, A) actions, (*) per sample; L_POSE of Eq. (2) by default.
         aux_weight: of L_AUX. 0 switches it off.
         goal_distance: between (*, G) goals.
-        reduction: 'mean' (over the samples that carry a label), 'sum' or 'none'.
+        reduction: 'mean' (over the samples that carry a label; None is the same), 'sum' or 'none'.
+        use_prioritized_weights: whether weights of prioritised replay count; 'auto', where there are some.
 
     Example:
         >>> import torch
@@ -60,9 +62,10 @@ class PoseBCLoss(GraspLoss):
         distance: Distance = functional.action_distance,
         aux_weight: float = 0.0,
         goal_distance: Distance = functional.goal_distance,
-        reduction: str = "mean",
+        reduction: str | None = None,
+        use_prioritized_weights: bool | Literal["auto"] = "auto",
     ) -> None:
-        super().__init__(reduction=reduction)
+        super().__init__(reduction=reduction, use_prioritized_weights=use_prioritized_weights)
         check_range("aux_weight", aux_weight, 0.0, float("inf"))
         self._adopt(actor_network, "actor_network")
         self.distance, self.aux_weight, self.goal_distance = distance, aux_weight, goal_distance

@@ -5,26 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictParams, dispatch
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
-from torchrl.data import Bounded
-from torchrl.objectives import ValueEstimators
+from torchrl.data import TensorSpec
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError, check_range
-from torchgrasp.geometry import ACTION_BOUND
+from torchgrasp.errors import check_range
 from torchgrasp.objectives import functional
-from torchgrasp.objectives.grasp_loss import Distance, GraspLoss, unique_keys
+from torchgrasp.objectives.bootstrapped_loss import BootstrappedLoss
+from torchgrasp.objectives.grasp_loss import Distance, unique_keys
 from torchgrasp.objectives.side_by_side import SideBySide
 from torchgrasp.objectives.smoothing import TargetSmoothing
 
 
-class GraspTD3BCLoss(GraspLoss):
+class GraspTD3BCLoss(BootstrappedLoss):
     """TD3 with imitation and goal prediction; its terms sum to Eq. (3) and Eq. (4), weights included.
 
     Critic: `loss_qvalue` = sum over heads of 1/2 (Q - y)^2, where no disturbance moved the arm, and
@@ -34,9 +33,10 @@ class GraspTD3BCLoss(GraspLoss):
     updates that come every second time; `forward` computes both. Terms of weight 0, and goal terms of
     networks without a goal prediction, are absent from the output.
 
-    The discount is 0.95 until ``make_value_estimator(gamma=...)``; like the limits of the action it is
-    configuration and no part of the state_dict. The batch's td error is written under the priority key,
-    and where a term leaves a sample out, the mean of those that count.
+    The discount is 0.95 until ``make_value_estimator(gamma=...)``, to the power of `steps_to_next_obs` where
+    a batch has it; like the limits of the action it is configuration and no part of the state_dict. The
+    batch's td error is written under the priority key, and where a term leaves a sample out, the mean of
+    those that count.
 
     Passes of target networks, and of the critic for the actor, take BatchNorm's stored statistics and
     leave them as they are.
@@ -54,17 +54,21 @@ class GraspTD3BCLoss(GraspLoss):
             range; 0 and one value make it DDPG.
         noise_clip: largest magnitude of that noise, in the same units.
         action_bound: largest magnitude of each action component, to which target actions are clipped.
-        action_spec: a bounded spec that gives the limits instead.
+        action_spec: instead of it, the action's Bounded spec, or a Composite that holds it: of an
+            environment, or of TorchRL's Actor.
         staggered_targets: keep a second set of target parameters for the values after the first, for
             StaggeredTargetUpdate; without it one pass gives all target values. A list of critics
             needs no second set.
-        reduction: 'mean' (over the samples that a term counts), 'sum' or 'none'.
+        reduction: 'mean' (over the samples that a term counts; None is the same), 'sum' or 'none'.
+        use_prioritized_weights: whether weights of prioritised replay count; 'auto', where there are some.
         generator: of the target noise; torch's own without one.
 
     Example:
         >>> from torchgrasp.modules import GraspActor, GraspCritic, PointNet
-        >>> loss = GraspTD3BCLoss(GraspActor(PointNet), GraspCritic(PointNet), bc_weight=0.0)
+        >>> from torchgrasp.geometry import ACTION_BOUND
         >>> from torchgrasp.objectives import StaggeredTargetUpdate
+        >>> networks = GraspActor(PointNet), GraspCritic(PointNet)
+        >>> loss = GraspTD3BCLoss(*networks, bc_weight=0.0, action_bound=ACTION_BOUND)
         >>> updater = StaggeredTargetUpdate(loss)
         >>> state = {"points": torch.rand(2, 64, 4), "time_left": torch.ones(2, 1)}
         >>> ends = {"reward": torch.ones(2, 1), "terminated": torch.ones(2, 1, dtype=torch.bool)}
@@ -80,7 +84,9 @@ class GraspTD3BCLoss(GraspLoss):
         action: NestedKey = keys.ACTION
         state_action_value: NestedKey = keys.STATE_ACTION_VALUE
         reward: NestedKey = "reward"
+        done: NestedKey = "done"
         terminated: NestedKey = "terminated"
+        steps_to_next_obs: NestedKey = "steps_to_next_obs"
         expert_action: NestedKey = keys.EXPERT_ACTION
         has_expert: NestedKey = keys.HAS_EXPERT
         goal_prediction: NestedKey = keys.GOAL_PREDICTION
@@ -92,7 +98,6 @@ class GraspTD3BCLoss(GraspLoss):
         priority_weight: NestedKey = "priority_weight"
 
     default_keys = _AcceptedKeys
-    default_value_estimator = ValueEstimators.TD0
 
     actor_network: TensorDictModuleBase
     actor_network_params: TensorDictParams
@@ -101,7 +106,6 @@ class GraspTD3BCLoss(GraspLoss):
     critic_network_params: TensorDictParams
     target_critic_network_params: TensorDictParams
     target_delayed_critic_network_params: TensorDictParams
-    gamma: float
 
     def __init__(
         self,
@@ -115,13 +119,14 @@ class GraspTD3BCLoss(GraspLoss):
         hindsight: bool = False,
         policy_noise: float = 0.2,
         noise_clip: float = 0.5,
-        action_bound: Sequence[float] = ACTION_BOUND,
-        action_spec: Bounded | None = None,
+        action_bound: Sequence[float] | None = None,
+        action_spec: TensorSpec | None = None,
         staggered_targets: bool = True,
-        reduction: str = "mean",
+        reduction: str | None = None,
+        use_prioritized_weights: bool | Literal["auto"] = "auto",
         generator: torch.Generator | None = None,
     ) -> None:
-        super().__init__(reduction=reduction)
+        super().__init__(reduction=reduction, use_prioritized_weights=use_prioritized_weights)
         check_range("bc_weight", bc_weight, 0.0, 1.0)
         check_range("aux_weight", aux_weight, 0.0, float("inf"))
         self._adopt_networks(actor_network, critic_network, staggered_targets)
@@ -132,10 +137,10 @@ class GraspTD3BCLoss(GraspLoss):
             noise_clip=noise_clip,
             action_bound=action_bound,
             action_spec=action_spec,
+            action_key=self._key("action"),
             generator=generator,
         )
-        # Sec. 6.4. No buffer: a checkpoint would overwrite what was set, and bfloat16 round it.
-        self.gamma = 0.95
+        self.make_value_estimator()
 
     def _adopt_networks(self, actor: Any, critic: Any, staggered: bool) -> None:
         one = isinstance(critic, TensorDictModuleBase)
@@ -154,19 +159,6 @@ class GraspTD3BCLoss(GraspLoss):
         """What the delayed targets follow: torchrl's updaters look targets' sources up by name."""
         return self.critic_network_params
 
-    def make_value_estimator(self, value_type: Any = None, **hyperparams: float) -> GraspTD3BCLoss:
-        """Set `gamma`. The one estimator is TD(0), which y of Eq. (3) is."""
-        if value_type not in (None, ValueEstimators.TD0) or set(hyperparams) - {"gamma"}:
-            given = f"value_type={value_type} with {hyperparams}"
-            raise ConfigError(f"{given} is not offered: choose ValueEstimators.TD0 and gamma.")
-        gamma = hyperparams.get("gamma", 0.95)
-        check_range("gamma", gamma, 0.0, 1.0)
-        self.gamma = float(gamma)
-        return self
-
-    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
-        """Nothing to forward: the target is computed here."""
-
     @property
     def in_keys(self) -> list[NestedKey]:
         """Everything that is read; masks and weights may be missing."""
@@ -175,9 +167,8 @@ class GraspTD3BCLoss(GraspLoss):
         names += ["expert_action", "has_expert"] * (self.bc_weight > 0)
         if self._predicts_goal(self.actor_network) or self._predicts_goal(self.critic_network):
             names += ["goal", "has_goal"] + ["episode_success"] * self.hindsight
-        ends = [("next", self._key("reward")), ("next", self._key("terminated"))]
         following = [("next", key) for key in state if key != self._key("action")]
-        return unique_keys(state, self._optional_keys(*names), following, ends)
+        return unique_keys(state, self._optional_keys(*names), following, self._ahead_keys())
 
     def _terms(self) -> list[NestedKey]:
         """The terms that this configuration has, then figures without gradients."""
@@ -209,6 +200,12 @@ class GraspTD3BCLoss(GraspLoss):
         out["td_error"] = self._write_priority(error.detach().abs().amax(dim=-1), tensordict, mask)
         out["pred_value"], out["target_value"] = value.detach().mean(), target.mean()
         return TensorDict(out, [])
+
+    def value_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
+        """Eq. (3) as one number, as TD3Loss gives it, and what `critic_loss` writes, without gradients."""
+        out = self.critic_loss(tensordict)
+        terms = [value for key, value in out.items() if key.startswith("loss_")]
+        return torch.stack(terms).sum(dim=0), dict(out.detach().items())
 
     def _write_priority(self, error: Tensor, tensordict: TensorDictBase, mask: Tensor | None) -> Tensor:
         """Write each sample's error (*), and return the mean of those that count.
@@ -251,16 +248,8 @@ class GraspTD3BCLoss(GraspLoss):
         params = self.target_actor_network_params
         acted = self._run(self.actor_network, params, following, keep_statistics=True)
         following.set(self._key("action"), self.smoothing(self._written(acted, "action")))
-        values = self._target_values(following)
-        reward, terminated = (
-            self._column(
-                self._read(tensordict.get("next"), name, "record transitions with it below 'next'"),
-                name,
-                values.shape[:-1],
-            ).unsqueeze(-1)
-            for name in ("reward", "terminated")
-        )
-        return functional.bellman_target(reward, terminated.bool(), values, self.gamma)
+        least = self._target_values(following).amin(dim=-1, keepdim=True)
+        return self._look_ahead(tensordict, least)
 
     def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The next states; no entry of the present ones stands in for what they lack."""
@@ -271,8 +260,9 @@ class GraspTD3BCLoss(GraspLoss):
             [unravel_key(("next", key)) for key in state],
             "Record them with each transition; what stays the same may be copied there from the root.",
         )
-        # Dispatch may have guessed more batch dimensions.
-        return tensordict.get("next").select(*state).auto_batch_size_(tensordict.batch_dims)
+        # Anew, since dispatch may have guessed more dimensions of the batch, which a lazy stack cannot shed.
+        entries = {key: tensordict.get(("next", key)) for key in state}
+        return TensorDict(entries, tensordict.batch_size, device=tensordict.device)
 
     def _target_values(self, following: TensorDictBase) -> Tensor:
         """(*, Q): the first value from the targets that follow, the others from those copied."""
