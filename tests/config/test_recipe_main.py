@@ -7,7 +7,8 @@ import textwrap
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
-from torchgrasp.config.recipe_main import as_written
+from tests.configurations import ROOT
+from torchgrasp.config.recipe_main import as_written, find_no_choice
 
 PATHS = (
     "/data/a=b",
@@ -90,3 +91,21 @@ def test_a_recipe_of_ones_own_gets_the_path_and_the_command_line_stays(run_recip
 def test_no_configuration_is_unpickled(run_recipe_of_ones_own):
     code, _, err = run_recipe_of_ones_own("--experimental-rerun", "config.pickle")
     assert code == 2 and "unpickles a file" in err and "Traceback" not in err
+
+
+@pytest.mark.parametrize("override", ["model=5", "model=null", "loss=[1,2]", "env=1.5", "+logger=true"])
+def test_a_group_takes_names_of_its_files_alone(override):
+    told = find_no_choice(ROOT / "conf", ["seed=3", override])
+    assert told is not None and told.startswith(f"{override} is no choice: give one of ")
+
+
+def test_choices_values_and_deletions_are_left_to_hydra():
+    given = [
+        "model=pointnet",
+        "experiment=[laptop,table1/dagger]",
+        "seed=3",
+        "~model",
+        "loss=td3_bc,bc",
+        "x=[1",
+    ]
+    assert find_no_choice(ROOT / "conf", given) is None

@@ -7,6 +7,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from tests.configurations import change_run
 from torchgrasp.config import Run, gather_sources, make_actor_critic, make_imitation_learner
 from torchgrasp.errors import CheckpointError, StorageError, WorkerError
 from torchgrasp.runs import load_checkpoint, seed_everything
@@ -130,10 +131,7 @@ def test_a_checkpoint_of_another_configuration_is_refused(begin):
     run = begin("pretrain.steps=0")
     run.checkpoint()
     run.__exit__(None, None, None)
-    file = run.folder / ".config_unresolved.yaml"
-    cfg = OmegaConf.load(file)
-    cfg.model.encoder.width = 0.5
-    OmegaConf.save(cfg, file)
+    change_run(run.folder, **{"model.encoder.width": 0.5})
     with pytest.raises(
         CheckpointError, match=r"is of another configuration \(.*\): resume it as it was begun"
     ):

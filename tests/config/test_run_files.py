@@ -5,7 +5,9 @@ import json
 import pytest
 from omegaconf import OmegaConf
 
+from tests.configurations import change_run
 from torchgrasp.config import open_run_dir, training_config
+from torchgrasp.data.files import seal_text
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import save_checkpoint
 
@@ -40,11 +42,46 @@ def test_experiments_and_runs_of_another_recipe_are_refused(composed, tmp_path):
         training_config(composed("resume=no/such/run"), "td3_bc")
 
 
-def test_a_damaged_configuration_is_named(composed):
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{", "was changed or cut short"),
+        (seal_text("{"), "cannot be used .*restore it from a copy"),
+        (seal_text("a: &a [1]\nb: *a"), "it refers to its own parts"),
+        (seal_text("[1, 2]"), "is of another kind"),
+        (seal_text("recipe: td3_bc\nseed: ${nothing}"), "cannot be used"),
+        (seal_text("recipe: td3_bc\nseed: ${oc.env:HOME}"), "seed=.* is more than a reference to a value"),
+    ],
+)
+def test_a_damaged_configuration_is_named(composed, text, told):
     run_dir = open_run_dir(composed("experiment=smoke"), "td3_bc")
-    (run_dir / ".config_unresolved.yaml").write_text("{")
-    with pytest.raises(CheckpointError, match=r"\.config_unresolved\.yaml cannot be read"):
+    (run_dir / ".config_unresolved.yaml").write_text(text)
+    with pytest.raises((CheckpointError, ConfigError), match=told):
         training_config(composed(f"resume={run_dir}"), "td3_bc")
+
+
+@pytest.mark.parametrize("place", ["camera", "collector.pool", "objects", "loss"])
+def test_a_strangers_run_directory_names_no_code(composed, tmp_path, place):
+    run_dir = open_run_dir(composed("experiment=smoke"), "td3_bc")
+    touched = tmp_path / "touched"
+    change_run(run_dir, **{place: {"_target_": "torchgrasp.runs.weights.Path.touch", "self": str(touched)}})
+    told = rf"could run anything: {place} names torchgrasp\.runs\.weights\.Path\.touch"
+    with pytest.raises(ConfigError, match=told):
+        training_config(composed(f"resume={run_dir}"), "td3_bc")
+    assert not touched.exists()
+
+
+def test_a_run_with_classes_of_ones_own_is_resumed_with_trust(composed, tmp_path, monkeypatch):
+    (tmp_path / "own_parts.py").write_text(
+        "from torchgrasp.transforms import SamplePoints\nclass Mine(SamplePoints): pass\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    own = "transforms.sample._target_=own_parts.Mine"
+    run_dir = open_run_dir(training_config(composed("experiment=smoke", own), "td3_bc"), "td3_bc")
+    with pytest.raises(ConfigError, match=r"trust=\[own_parts\]"):
+        training_config(composed(f"resume={run_dir}"), "td3_bc")
+    cfg = training_config(composed(f"resume={run_dir}", "trust=[own_parts]"), "td3_bc")
+    assert cfg.transforms.sample._target_ == "own_parts.Mine"
 
 
 def test_a_checkpoint_of_another_version_is_refused_with_two_ways_on(composed):

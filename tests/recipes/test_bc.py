@@ -6,6 +6,7 @@ from omegaconf import OmegaConf
 
 from recipes import bc, td3_bc
 from recipes.evaluate import evaluate
+from tests.configurations import change_run
 from tests.recipes.runner import find_run, read_metrics, stored_rows
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import load_weights
@@ -32,9 +33,7 @@ def test_a_run_goes_on_is_evaluated_and_begins_reinforcement(composed, tmp_path)
     cell = ["experiment=[smoke,table1/dagger_aux]", "total_env_steps=12", *SHORT]
     first = bc.train(composed(*cell, recipe="bc"))
     run_dir = find_run(tmp_path, "bc")
-    stored = OmegaConf.load(run_dir / ".config_unresolved.yaml")
-    stored.total_env_steps = 24
-    OmegaConf.save(stored, run_dir / ".config_unresolved.yaml")
+    change_run(run_dir, total_env_steps=24)
     second = bc.train(composed(f"resume={run_dir}", recipe="bc"))
     assert first["gradient_steps"] == 6 + 3 and second["gradient_steps"] == 6 + 3 + 3
     assert second["env_steps"] >= 24

@@ -9,9 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
-from omegaconf import OmegaConf
 
 from recipes import td3_bc
+from tests.configurations import change_run
 from tests.recipes.runner import (
     command,
     environment,
@@ -162,9 +162,7 @@ def test_the_actors_delay_counts_over_iterations_and_survives_a_resume(composed,
     given += ["evaluation.baselines=[]", "evaluation.episodes=2", "total_env_steps=36"]
     td3_bc.train(composed(*given))
     run_dir = find_run(tmp_path, "td3_bc")
-    stored = OmegaConf.load(run_dir / ".config_unresolved.yaml")
-    stored.total_env_steps = 72
-    OmegaConf.save(stored, run_dir / ".config_unresolved.yaml")
+    change_run(run_dir, total_env_steps=72)
     td3_bc.train(composed(f"resume={run_dir}"))
     rows = [row for row in read_metrics(run_dir) if row["critic/loss_qvalue"]]
     assert [bool(row["actor/loss_actor_ddpg"]) for row in rows] == [False, True] * (len(rows) // 2)

@@ -110,6 +110,7 @@ _TORCHRL = (
 )
 _IMPORTED_FROM_TORCHRL = ("torchrl.envs.", "torchrl.modules.", "torchrl.objectives.")
 _NAME = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)+")
+_REFERENCE = re.compile(r"\$\{\w+(\.\w+)*\}")
 _DEPTH = 20  # levels of a configuration; ours have six
 
 
@@ -158,6 +159,19 @@ def check_strangers_parts(config: Mapping[str, Any], file: str, trust: Iterable[
                 _check_strangers_node(place, node, trusted)
             except ConfigError as error:
                 raise ConfigError(f"{file} could run anything: {error}") from error
+
+
+def check_references(config: Mapping[str, Any], file: str) -> None:
+    """Refuse references in a file's configuration, but for plain ones to its own values, as `${a.b}`.
+
+    Raises:
+        ConfigError: names the place, and what stands there.
+    """
+    for place, node in _find_places("", config):
+        if isinstance(node, str) and "${" in node and not _REFERENCE.fullmatch(node):
+            raise ConfigError(
+                f"{file} could run anything: {place}={node} is more than a reference to a value."
+            )
 
 
 def _check_strangers_node(place: str, node: Mapping[str, Any], trusted: tuple[str, ...]) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import hydra.version
 from hydra._internal.utils import _run_hydra, get_args_parser
@@ -36,6 +38,8 @@ def recipe_main(
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+        conf = Path(inspect.unwrap(task).__code__.co_filename).parent / config_path
+
         @functools.wraps(task)
         def run() -> None:
             hydra.version.setbase(None)
@@ -45,6 +49,8 @@ def recipe_main(
             if args.experimental_rerun is not None:
                 parser.error("--experimental-rerun unpickles a file, which could run anything")
             args.overrides = [as_written(each) for each in args.overrides]
+            if (refusal := find_no_choice(conf, args.overrides)) is not None:
+                parser.exit(1, f"error: {refusal}\n")
             _run_hydra(args, parser, task, config_path, config_name)
 
         return run
@@ -69,6 +75,25 @@ def as_written(override: str) -> str:
     quoted = [each if _is_readable(f"{name}={each}") else _quote(each) for each in parts]
     written = f"{name}={','.join(quoted)}"
     return written if _is_readable(written) else override
+
+
+def find_no_choice(conf: Path, overrides: Iterable[str]) -> str | None:
+    """What is wrong with the first override that gives a group of `conf` something else than files' names."""
+    for override in overrides:
+        try:
+            parsed = OverridesParser.create().parse_override(override)
+        except HydraException:
+            continue  # Hydra tells what is wrong
+        folder = conf / parsed.key_or_group
+        if parsed.is_sweep_override() or parsed.is_delete() or not folder.is_dir() or not parsed.value_type:
+            continue
+        value = parsed.value()
+        if not isinstance(value, str) and not (
+            isinstance(value, list) and all(isinstance(each, str) for each in value)
+        ):
+            choices = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+            return f"{override} is no choice: give one of {choices}."
+    return None
 
 
 def _is_readable(override: str) -> bool:

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import yaml
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from torchgrasp.config.exploration import check_exploration
-from torchgrasp.config.overrides import given_values, merge
+from torchgrasp.config.overrides import given_values, merge, plain
+from torchgrasp.config.part_kinds import check_references, check_strangers_parts
+from torchgrasp.config.schema import Resumption
 from torchgrasp.config.sweeps import note_run
 from torchgrasp.config.training_checks import check_training
+from torchgrasp.config.value_checks import check_section
+from torchgrasp.data.files import read_sealed_text, seal_text
+from torchgrasp.documents import parse_yaml
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import make_run_dir
 from torchgrasp.runs.checkpoint import check_format, checkpoint_exists
 
 # config.yaml is resolved, for readers; this one keeps its references, so that a change reaches all.
 _UNRESOLVED = ".config_unresolved.yaml"
+_REMEDY = "restore it from a copy, or begin a new run with init=<run>"
 
 
 def training_config(cfg: DictConfig, recipe: str) -> DictConfig:
@@ -26,7 +32,8 @@ def training_config(cfg: DictConfig, recipe: str) -> DictConfig:
     if cfg.recipe != recipe:
         raise ConfigError(f"This experiment is for the recipe {cfg.recipe}: run it by that, not by {recipe}.")
     if cfg.resume is not None:
-        stored = _read(Path(cfg.resume) / _UNRESOLVED, f"resume={cfg.resume}", recipe)
+        check_section("", {"resume": plain(cfg.resume), "trust": plain(cfg.trust)}, Resumption)
+        stored = _read(Path(str(cfg.resume)) / _UNRESOLVED, f"resume={cfg.resume}", recipe, cfg.trust)
         if checkpoint_exists(cfg.resume):
             check_format(Path(cfg.resume) / "checkpoint")
         cfg = merge(stored, given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
@@ -40,22 +47,30 @@ def open_run_dir(cfg: DictConfig, recipe: str) -> Path:
     if cfg.get("resume") is not None:
         note_run(Path(cfg.resume))
         return Path(cfg.resume)
-    files = {"config.yaml": OmegaConf.to_yaml(cfg, resolve=True), _UNRESOLVED: OmegaConf.to_yaml(cfg)}
+    files = {
+        "config.yaml": OmegaConf.to_yaml(cfg, resolve=True),
+        _UNRESOLVED: seal_text(OmegaConf.to_yaml(cfg)),
+    }
     run_dir = make_run_dir(recipe, root=cfg.output_dir, files=files)
     note_run(run_dir)
     return run_dir
 
 
-def _read(file: Path, option: str, recipe: str) -> DictConfig:
+def _read(file: Path, option: str, recipe: str, trust: Iterable[str]) -> DictConfig:
+    """The configuration in a run directory that anyone may have made: nothing of it is called yet."""
     if not file.is_file():
         raise CheckpointError(f"{option} is no run directory of {recipe} ({file.name} is not in it).")
-    try:
-        stored: Any = OmegaConf.load(file)
-    except (yaml.YAMLError, OmegaConfBaseException, OSError) as error:
-        raise CheckpointError(f"{file} cannot be read ({error}): restore it from a copy.") from error
-    kind = stored.get("recipe") if isinstance(stored, DictConfig) else None
+    content = parse_yaml(read_sealed_text(file, _REMEDY), file, _REMEDY)
+    kind = content.get("recipe") if isinstance(content, dict) else None
     if kind != recipe:
         raise CheckpointError(
             f"{option} is no run directory of {recipe}: {file} is of {kind or 'another kind'}."
         )
+    check_references(content, str(file))
+    stored: Any = OmegaConf.create(content)
+    try:
+        resolved: Any = OmegaConf.to_container(stored, resolve=True)
+    except OmegaConfBaseException as error:
+        raise CheckpointError(f"{file} cannot be used ({str(error).splitlines()[0]}): {_REMEDY}.") from error
+    check_strangers_parts(resolved, str(file), trust)
     return stored

@@ -197,6 +197,13 @@ class Training(Section):
     logger: Logger
 
 
+class Resumption(OpenSection):
+    """What must be right before the configuration of the run to be resumed is read."""
+
+    resume: FilePath
+    trust: Packages
+
+
 class RelaySteps(Section):
     """Of policy=combined and policy=takeover."""
 
