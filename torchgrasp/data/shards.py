@@ -256,9 +256,11 @@ def _tells_of(shard: Shard, rows: TensorDictBase) -> bool:
     if not shard.episodes:
         return True
     lasts = torch.tensor([record.rows for record in shard.episodes]).cumsum(0) - 1
-    successes = rows[keys.EPISODE_SUCCESS][lasts].flatten().tolist()
+    success: Any = rows[keys.EPISODE_SUCCESS]
     counts = {name: getattr(shard.sums, name) for name in COUNTS}
-    return successes == [record.success for record in shard.episodes] and counts == _count_rows(rows)
+    return success[lasts].flatten().tolist() == [
+        record.success for record in shard.episodes
+    ] and counts == _count_rows(rows)
 
 
 def _versions() -> dict[str, str]:

@@ -29,7 +29,7 @@ def find_unlike(found: Any, like: Any, place: str = "it") -> str | None:
     if like is None:
         known = found is None or (type(found) is float and abs(found) <= _MOST)
         return None if known else _tell(found, place)
-    if not (isinstance(found, Tensor) and isinstance(like, Tensor)) and type(found) is not type(like):
+    if not _are_of_one_type(found, like):
         return _tell(found, place)
     if isinstance(like, TensorDictBase):
         same = found.batch_size[1:] == like.batch_size[1:] and found.ndim == like.ndim
@@ -46,6 +46,11 @@ def find_unlike(found: Any, like: Any, place: str = "it") -> str | None:
     if isinstance(like, int | float) and not isinstance(like, bool):
         return None if _could_be(found, like) else _tell(found, place)
     return None
+
+
+def _are_of_one_type(found: Any, like: Any) -> bool:
+    # Parameters and mapped tensors are saved as tensors.
+    return isinstance(found, Tensor) if isinstance(like, Tensor) else type(found) is type(like)
 
 
 def _find_in_dict(found: dict[Any, Any], like: dict[Any, Any], place: str) -> str | None:

@@ -128,7 +128,7 @@ def _digest(texts: Iterable[str], tensors: Mapping[str, Tensor]) -> str:
         digest.update(f"{len(text)} {text}".encode())
     for name, value in sorted(tensors.items()):
         digest.update(f"{len(name)} {name} {value.dtype} {list(value.shape)}".encode())
-        digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy())
+        digest.update(value.contiguous().reshape(-1).view(torch.uint8).numpy().data)
     return digest.hexdigest()
 
 

@@ -97,7 +97,7 @@ def _check_group(group: Any, path: Path, seen: set[Any], depth: int) -> None:
         if not isinstance(link, h5py.HardLink):
             raise ConfigError(f"{place} is a link to elsewhere, which could be any file: {REMEDY} without.")
         part = group[name]
-        address = h5py.h5o.get_info(part.id).addr
+        address = h5py.h5o.get_info(part.id).addr  # pyright: ignore[reportAttributeAccessIssue]
         if address in seen or depth > _MAX_DEPTH:
             raise CheckpointError(f"{place} is there under another name, too, or too deep: {REMEDY}.")
         seen.add(address)
