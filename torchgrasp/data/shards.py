@@ -258,9 +258,8 @@ def _tells_of(shard: Shard, rows: TensorDictBase) -> bool:
     lasts = torch.tensor([record.rows for record in shard.episodes]).cumsum(0) - 1
     success: Any = rows[keys.EPISODE_SUCCESS]
     counts = {name: getattr(shard.sums, name) for name in COUNTS}
-    return success[lasts].flatten().tolist() == [
-        record.success for record in shard.episodes
-    ] and counts == _count_rows(rows)
+    told = [record.success for record in shard.episodes]
+    return success[lasts].flatten().tolist() == told and counts == _count_rows(rows)
 
 
 def _versions() -> dict[str, str]:
