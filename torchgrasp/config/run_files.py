@@ -47,10 +47,9 @@ def open_run_dir(cfg: DictConfig, recipe: str) -> Path:
     if cfg.get("resume") is not None:
         note_run(Path(cfg.resume))
         return Path(cfg.resume)
-    files = {
-        "config.yaml": OmegaConf.to_yaml(cfg, resolve=True),
-        _UNRESOLVED: seal_text(OmegaConf.to_yaml(cfg)),
-    }
+    files = {"config.yaml": OmegaConf.to_yaml(cfg, resolve=True)}
+    if "resume" in cfg:
+        files[_UNRESOLVED] = seal_text(OmegaConf.to_yaml(cfg))
     run_dir = make_run_dir(recipe, root=cfg.output_dir, files=files)
     note_run(run_dir)
     return run_dir
