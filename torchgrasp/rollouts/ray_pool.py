@@ -7,7 +7,8 @@ import os
 import pickle
 import socket
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from types import ModuleType
 from typing import Any
 
@@ -26,8 +27,8 @@ class RayPool(WorkerPool):
 
     Ray is joined where `address` says, or started on this machine alone and ended with the pool; a Ray
     that is running already in this process is used as it is. One that is started here listens to 127.0.0.1
-    alone, unless Ray was imported before. The policy goes to each machine once a call of `run`. Environments
-    are pickled by value where Ray's workers could not import them.
+    alone. The policy goes to each machine once a call of `run`. Environments are pickled by value where Ray's
+    workers could not import them.
 
     Args:
         envs: name -> function that makes the environment.
@@ -49,14 +50,15 @@ class RayPool(WorkerPool):
         init: Mapping[str, Any] | None = None,
     ) -> None:
         super().__init__(envs, num_workers=num_workers, keep=keep)
-        self._ray = import_ray(alone=address is None)
+        self._ray = import_ray()
         cores = num_workers * num_cpus
         self._owns_ray = not self._ray.is_initialized()
         if self._owns_ray:
             own = {"num_cpus": math.ceil(cores), "include_dashboard": False} if address is None else {}
             try:
                 _check_address(address)
-                with keep_handlers():  # Ray would exit at SIGTERM
+                alone = _on_this_machine(self._ray) if address is None else nullcontext()
+                with alone, keep_handlers():  # Ray would exit at SIGTERM
                     self._ray.init(address or "local", **{"logging_level": "warning", **own, **(init or {})})
             except OSError as error:
                 raise ConfigError(
@@ -120,10 +122,8 @@ class RayWorker(Worker):
         self._ray.kill(self._actor)
 
 
-def import_ray(*, alone: bool = False) -> ModuleType:
-    """Ray, or ConfigError with the way to get it; `alone`, it listens to this machine alone."""
-    if alone:  # read when Ray is imported; without a cluster Ray takes 127.0.0.1 for its address
-        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
+def import_ray() -> ModuleType:
+    """Ray, or ConfigError with the way to get it."""
     # Ray reports each use to its makers unless told otherwise; who wants that sets it to 1.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
@@ -131,6 +131,22 @@ def import_ray(*, alone: bool = False) -> ModuleType:
     except ImportError as error:
         raise ConfigError(f'RayPool needs the extra ray ({error}): pip install "torchgrasp[ray]".') from error
     return ray
+
+
+@contextmanager
+def _on_this_machine(ray: ModuleType) -> Iterator[None]:
+    """Let a Ray that is started here listen to this machine alone.
+
+    Ray does so where clusters are switched off, which the environment tells it when it is imported: TorchRL
+    has done that by now. An address of 127.0.0.1 would be replaced by that of the network.
+    """
+    constants = ray._private.ray_constants
+    before = getattr(constants, "ENABLE_RAY_CLUSTER", True)
+    constants.ENABLE_RAY_CLUSTER = False
+    try:
+        yield
+    finally:
+        constants.ENABLE_RAY_CLUSTER = before
 
 
 def _check_address(address: str | None) -> None:
