@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from torchgrasp.objects.model import MAX_PART_VERTICES
 from torchgrasp.objects.solids import Points, hull
@@ -130,7 +130,7 @@ def _merge_round(parts: list[Points], number: int) -> list[Points]:
     """The parts with at most `number` disjoint pairs of neighbours merged, the better half of the pairs."""
     centres = np.array([part.mean(0) for part in parts])
     volumes = [ConvexHull(part).volume for part in parts]
-    _, near = cKDTree(centres).query(centres, k=min(7, len(parts)))
+    _, near = KDTree(centres).query(centres, k=min(7, len(parts)))
     pairs = {(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row if i != j}
     joint = {pair: np.concatenate([parts[i] for i in pair]) for pair in sorted(pairs)}
     added = {

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -80,7 +81,7 @@ def _parse(path: Path, data: bytes) -> trimesh.Trimesh:
         data = _cut_stl(path, data)
     elif suffix == ".ply":
         _check_ply(path, data)
-    options = {"skip_materials": True} if suffix in _WITH_MATERIALS else {}
+    options: dict[str, Any] = {"skip_materials": True} if suffix in _WITH_MATERIALS else {}
     with _silence():
         scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False, **options)
         _check_scene(path, scene)

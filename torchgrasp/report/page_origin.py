@@ -8,6 +8,7 @@ from urllib.parse import urlsplit
 
 if TYPE_CHECKING:
     import viser
+    from viser.infra import WebsockClientConnection
 
 _POLICY_VIOLATION = 1008
 
@@ -23,7 +24,7 @@ def refuse_other_pages(server: viser.ViserServer, host: str) -> None:
     """
     websockets = server._websock_server
 
-    async def check(client: viser.infra.WebsockClientConnection) -> None:
+    async def check(client: WebsockClientConnection) -> None:
         connection = websockets._live_connections[client.client_id]
         headers = connection.request.headers if connection.request is not None else {}
         if not is_own_page(headers.get("Origin"), headers.get("Host"), host):

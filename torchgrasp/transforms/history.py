@@ -156,7 +156,7 @@ def _find_later(transform: Transform) -> list[Transform]:
 def _flatten(transform: Transform) -> list[Transform]:
     if not isinstance(transform, Compose):
         return [transform]
-    return [each for part in transform.transforms for each in _flatten(part)]
+    return [each for part in transform.transforms for each in _flatten(cast(Transform, part))]
 
 
 def _share_keys(first: Transform, later: Transform) -> bool:
