@@ -22,18 +22,25 @@ def make_messy_meshes() -> dict[str, Mesh]:
             "soup": _soup,
             "cut": lambda mesh: _keep(mesh, slice(len(mesh.faces) // 2)),
             "holes": lambda mesh: _keep(mesh, np.random.default_rng(0).random(len(mesh.faces)) > 0.02),
-            "dust": lambda mesh: trimesh.util.concatenate(mesh, _dust(60)),
+            "dust": lambda mesh: _join(mesh, _dust(60)),
             "half_open": lambda mesh: _keep(mesh, mesh.triangles_center[:, 2] < 0.02),
         }
         meshes |= {f"{name}_{kind}": make(fine) for kind, make in variants.items()}
-    meshes["pair"] = trimesh.util.concatenate(_box(0.0), _box(0.035))
+    meshes["pair"] = _join(_box(0.0), _box(0.035))
     meshes["bowl_without_thickness"] = _keep(
         trimesh.creation.icosphere(5, 0.035), lambda mesh: mesh.triangles_center[:, 2] < 0
     )
-    meshes["tangle"] = trimesh.util.concatenate([_ring(place) for place in range(12)])
+    meshes["tangle"] = _join(*(_ring(place) for place in range(12)))
     meshes["random_triangles"] = _random_triangles(2000)
     meshes["sheet_rolled_up"] = _roll()
     return meshes
+
+
+def _join(*meshes: Mesh) -> Mesh:
+    """One mesh of several."""
+    joined = trimesh.util.concatenate(meshes)
+    assert isinstance(joined, Mesh)
+    return joined
 
 
 def _box(x: float) -> Mesh:
@@ -52,7 +59,7 @@ def _mug(*, fused: bool = True) -> Mesh:
     handle = trimesh.creation.torus(0.025, 0.005)
     handle.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     handle.apply_translation((0.045, 0, 0))
-    return trimesh.util.concatenate(cup, handle)
+    return _join(cup, handle)
 
 
 def _shards(count: int) -> Mesh:
@@ -61,8 +68,8 @@ def _shards(count: int) -> Mesh:
     points, _ = trimesh.sample.sample_surface(trimesh.creation.cylinder(0.03, 0.16), count, seed=0)
     ball = trimesh.creation.icosphere(1)
     size = 0.006 * np.sqrt(240 / count)
-    return trimesh.util.concatenate(
-        [Mesh(ball.vertices * rng.uniform(0.7, 1.2) * size + place, ball.faces) for place in points]
+    return _join(
+        *(Mesh(ball.vertices * rng.uniform(0.7, 1.2) * size + place, ball.faces) for place in points)
     )
 
 
@@ -94,7 +101,7 @@ def _dust(count: int) -> Mesh:
         crumb.apply_translation(rng.normal(scale=0.04, size=3))
         if i % 2:
             crumb.update_faces(np.arange(len(crumb.faces)) % 3 > 0)
-    return trimesh.util.concatenate(crumbs)
+    return _join(*crumbs)
 
 
 def _ring(place: int) -> Mesh:

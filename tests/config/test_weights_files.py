@@ -67,6 +67,11 @@ def test_code_is_refused_by_its_place_before_anything_is_called(tmp_path):
         (lambda config: config.update(env={"horizon": 10**9}), r"env\.horizon=1000000000 is out of range"),
         (lambda config: config.update(num_points=-1), "num_points=-1 is out of range"),
         (lambda config: config.update(transforms=[1]), "transforms="),
+        (lambda config: config["model"].pop("actor"), "model.actor is missing"),
+        (lambda config: config["model"].update(actor=[1]), "model.actor="),
+        (lambda config: config["model"]["actor"].pop("_target_"), "model.actor="),
+        (lambda config: config["model"]["critic"].update(encoder=[1]), r"model\.critic\.encoder="),
+        (lambda config: config["model"].update(goal_network=[1]), "model.goal_network="),
     ],
 )
 def test_a_file_that_tells_too_little_or_nonsense_is_refused(tmp_path, change, told):

@@ -96,7 +96,7 @@ class Run(RunState[LearnerT]):
         self.experience.make_buffer(sources)
         resumed = checkpoint_exists(self.folder)
         if resumed:
-            self._take_up(load_checkpoint(self.folder / "checkpoint"))
+            self._take_up(load_checkpoint(self.folder / "checkpoint", like=self._state()))
         else:
             self.experience.load_demonstrations()
         step = self.gradient_steps + 1 if resumed else None

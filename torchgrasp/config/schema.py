@@ -246,6 +246,14 @@ class BroughtEnv(OpenSection):
     action_space: str = "ee_delta"
 
 
+class BroughtModel(OpenSection):
+    """Trained networks; imitation has no critic."""
+
+    actor: Parts
+    critic: Parts | None = None
+    goal_network: Parts | None = None
+
+
 class Brought(OpenSection):
     """What the configuration in a weights file must tell, so that its networks can be rebuilt and act."""
 
@@ -253,7 +261,7 @@ class Brought(OpenSection):
     camera: Parts
     overhead: Parts | None = None
     transforms: Parts
-    model: Parts
+    model: BroughtModel
     num_points: Points = 1024
     recipe: str | None = None
     replay: Parts | None = None

@@ -23,7 +23,7 @@ def check_values(cfg: DictConfig, schema: type[BaseModel]) -> None:
     cfg = OmegaConf.create(OmegaConf.to_container(cfg))  # pyright: ignore[reportAssignmentType]
     try:
         missing = sorted(OmegaConf.missing_keys(cfg))
-        values = OmegaConf.to_container(cfg, resolve=True)
+        values: Any = OmegaConf.to_container(cfg, resolve=True)
     except InterpolationResolutionError as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(

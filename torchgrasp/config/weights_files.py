@@ -9,7 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
-from torchgrasp.config.part_kinds import check_strangers_parts
+from torchgrasp.config.part_kinds import check_parts, check_strangers_parts
 from torchgrasp.config.schema import Brought
 from torchgrasp.config.value_checks import check_section
 from torchgrasp.errors import CheckpointError, ConfigError
@@ -85,6 +85,7 @@ def read_trained(path: Path, trust: Iterable[str] = ()) -> TrainedWeights:
     check_strangers_parts(config, str(file), trust)
     try:
         check_section("", config, Brought)
+        check_parts(config)
     except ConfigError as error:
         raise CheckpointError(f"{file} has a configuration of no recipe: {error}") from error
     return TrainedWeights(path, states, config)

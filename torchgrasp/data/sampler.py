@@ -265,7 +265,7 @@ class MixtureSampler(StateFiles, Sampler):
         return {**state, "_follows": False}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        vars(self).update(state)
         self._pools = state.get("_pools") or self._make_pools()
 
     def __repr__(self) -> str:

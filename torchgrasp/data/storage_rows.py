@@ -37,7 +37,7 @@ def find_filled_rows(storage: Storage) -> Tensor:
     """(k) flat numbers of the rows that `storage` holds."""
     # MixtureStorage has gaps between its sources.
     find = getattr(storage, "filled_rows", None)
-    return torch.arange(len(storage)) if find is None else find()
+    return torch.arange(len(storage)) if find is None else find()  # pyright: ignore[reportArgumentType]
 
 
 def read_columns(storage: Storage, rows: Tensor, keys: Sequence[NestedKey]) -> TensorDictBase:

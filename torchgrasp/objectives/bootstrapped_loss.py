@@ -51,7 +51,8 @@ class BootstrappedLoss(GraspLoss):
         chosen = self.default_value_estimator if value_type is None else value_type
         try:
             if isinstance(chosen, (ValueEstimatorBase, type)):
-                super().make_value_estimator(chosen, **hyperparams)
+                given: Any = chosen  # TorchRL names enums alone, and takes classes and objects as well
+                super().make_value_estimator(given, **hyperparams)
             else:
                 self._make_known_estimator(chosen, {"gamma": _GAMMA, **hyperparams})
         except (NotImplementedError, KeyError, TypeError) as error:
@@ -61,7 +62,7 @@ class BootstrappedLoss(GraspLoss):
                 "arguments of TorchRL's estimator of that name."
             ) from error
         # A submodule would be part of the state_dict, and its discount be cast to the networks' type.
-        self.__dict__["_value_estimator"] = self._modules.pop("_value_estimator")
+        vars(self)["_value_estimator"] = self._modules.pop("_value_estimator")
         return self
 
     def _make_known_estimator(self, value_type: Any, hyperparams: dict[str, Any]) -> None:
@@ -77,7 +78,8 @@ class BootstrappedLoss(GraspLoss):
     @property
     def gamma(self) -> float:
         """The discount of one step."""
-        return self._value_estimator.gamma.item()
+        estimator: Any = self._value_estimator
+        return estimator.gamma.item()
 
     def _estimator_keys(self) -> dict[str, NestedKey]:
         return {name: self._key(ours) for name, ours in _KEYS.items()}

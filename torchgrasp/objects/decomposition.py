@@ -131,7 +131,7 @@ def _merge_round(parts: list[Points], number: int) -> list[Points]:
     centres = np.array([part.mean(0) for part in parts])
     volumes = [ConvexHull(part).volume for part in parts]
     _, near = KDTree(centres).query(centres, k=min(7, len(parts)))
-    pairs = {(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row if i != j}
+    pairs = {(min(i, j), max(i, j)) for i, row in enumerate(np.asarray(near).tolist()) for j in row if i != j}
     joint = {pair: np.concatenate([parts[i] for i in pair]) for pair in sorted(pairs)}
     added = {
         pair: ConvexHull(points).volume - sum(volumes[i] for i in pair) for pair, points in joint.items()
