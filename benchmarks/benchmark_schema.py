@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from torchgrasp.config.schema import Collector, Env, OpenSection
+from torchgrasp.config.schema import Env, OpenSection
 from torchgrasp.config.value_types import Count, Device, Positive, at_least
 
 
@@ -25,6 +25,12 @@ class Training(OpenSection):
     warmup: Count
 
 
+class Workers(OpenSection):
+    """Who prepares objects."""
+
+    num_workers: Count
+
+
 class Benchmark(OpenSection):
     """benchmark.py."""
 
@@ -40,4 +46,4 @@ class Benchmark(OpenSection):
     clouds: Clouds
     training: Training
     env: Env
-    collector: Collector
+    collector: Workers

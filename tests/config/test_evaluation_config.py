@@ -82,7 +82,7 @@ def test_single_values_of_the_transforms_hold_where_the_policy_has_them(on_comma
 
 
 def test_a_policy_of_the_overhead_camera_follows_that_one(on_command_line, untrained):
-    views = ["overhead=raycast", "transforms.points.camera=overhead", "transforms.aggregate.carve=null"]
+    views = ["overhead=raycast", "+transforms.points.camera=overhead", "transforms.aggregate.carve=null"]
     views += ["transforms.points.fov=${overhead.intrinsics.fov}"]
     policy = f"policy={untrained(*BROUGHT, *views)}"
     cfg = evaluation_config(on_command_line(policy, "camera.intrinsics.fov=0.7", recipe="evaluate"))

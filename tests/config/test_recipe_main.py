@@ -106,6 +106,5 @@ def test_choices_values_and_deletions_are_left_to_hydra():
         "seed=3",
         "~model",
         "loss=td3_bc,bc",
-        "x=[1",
     ]
     assert find_no_choice(ROOT / "conf", given) is None

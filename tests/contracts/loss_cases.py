@@ -105,7 +105,7 @@ def make_batch(*shape: int) -> TensorDict:
         "perturbed": chance(),
         "priority_weight": torch.rand(shape, generator=generator) + 0.5,
         "steps_to_next_obs": torch.randint(2, 4, (*shape, 1), generator=generator),
-        "next": {"observation": normal(STATE), "reward": normal(1), "terminated": chance()},
+        "next": {"observation": normal(STATE), "reward": normal(1), "terminated": chance() & chance()},
     }
     entries["next"]["done"] = entries["next"]["terminated"] | chance()
     return TensorDict(entries, shape)

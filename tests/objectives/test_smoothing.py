@@ -64,7 +64,8 @@ def test_the_specs_of_an_environment(batched):
         for spec in (env.action_spec, env.full_action_spec, env.input_spec["full_action_spec"]):
             assert make(action_spec=spec).high.tolist() == [2.0]
     finally:
-        env.close()
+        if not env.is_closed:
+            env.close()
 
 
 @pytest.mark.parametrize("given", [{}, {"action_bound": [1.0, 1.0], "action_spec": SPEC}])

@@ -141,7 +141,7 @@ def write_bad_files(folder):
         "far.off": "cannot be read as a mesh",
         "negative.ply": "vertices -1 to 6 where 8 exist",
         "less.ply": "announces -8 of vertex",
-        "less.off": "cannot be read as a mesh",
+        "less.off": "is a point cloud, it has no faces",
         "absurd.ply": "announces 1000000000000000 of face",
         "absurd.off": "cannot be read as a mesh",
         "cut.obj": "cannot be read as a mesh",

@@ -86,5 +86,5 @@ def test_wrong_options_are_refused(options):
 def test_a_damaged_index_is_named(monkeypatch, tmp_path, content):
     (tmp_path / "ycb.json").write_bytes(content)
     monkeypatch.setattr(packaged, "INDEX_DIR", tmp_path)
-    with pytest.raises(ObjectError, match=r"ycb\.json is damaged .*install torchgrasp again"):
+    with pytest.raises(ObjectError, match=r"ycb\.json cannot be used .*install torchgrasp again"):
         packaged.read_index.__wrapped__("ycb")

@@ -107,9 +107,9 @@ def test_a_file_of_other_arrays_is_built_again_with_a_warning(tmp_path, damage):
 def test_a_damaged_note_of_a_refusal_is_told(tmp_path):
     objects = ProceduralObjects("train", num_objects=1, num_grasps=100, cache_dir=tmp_path)
     refusal_path(objects._cache_path(0)).write_bytes(b"\xff\xfe")
-    for ask in (lambda: objects[0], lambda: objects.refusal(0)):
-        with pytest.raises(ObjectError, match=r"refused cannot be used .*delete it"):
-            ask()
+    with pytest.raises(ObjectError, match=r"refused cannot be used .*delete it"):
+        objects[0]
+    assert "delete it" in (objects.refusal(0) or "")
 
 
 def _hashes(cache_dir, start, answers):

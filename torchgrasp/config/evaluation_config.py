@@ -24,6 +24,8 @@ def evaluation_config(cfg: DictConfig) -> DictConfig:
     cfg = _follow_protocol(copy(cfg))
     check_values(cfg, Evaluate)
     option, path = _find_learned(cfg)
+    if path is None and "model" in cfg:
+        raise ConfigError(f"model={cfg.model} does not go with policy={cfg.policy}: leave it out.")
     if path is not None:
         brought = read_trained(path, cfg.trust).config
         cfg = join_brought(cfg, brought, f"{option}={path}")

@@ -82,8 +82,9 @@ def find_no_choice(conf: Path, overrides: Iterable[str]) -> str | None:
     for override in overrides:
         try:
             parsed = OverridesParser.create().parse_override(override)
-        except HydraException:
-            continue  # Hydra tells what is wrong
+        except HydraException as error:
+            reason = str(error).splitlines()[0]
+            return f"{override} cannot be read ({reason}): close its brackets and quotes."
         folder = conf / parsed.key_or_group
         if parsed.is_sweep_override() or parsed.is_delete() or not folder.is_dir() or not parsed.value_type:
             continue

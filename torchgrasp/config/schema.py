@@ -234,6 +234,7 @@ class Evaluate(Section):
     evaluation: Evaluation
     grasp_prediction: Switch
     video: Video
+    model: Any = None
     host: str = ""
     port: Annotated[int, at_least(0, 65535)] = 0
     speed: Annotated[float, between(0.1, 10.0)] = 1.0

@@ -86,7 +86,8 @@ def _limits(
         raise ConfigError(
             f"action_spec={type(spec).__name__} has no limits: give a Bounded spec, or action_bound."
         )
-    low, high = (_one_row(limit, spec.shape[-1]) for limit in (spec.low, spec.high))
+    space: Any = spec.space
+    low, high = (_one_row(limit, spec.shape[-1]) for limit in (space.low, space.high))
     if not (low.isfinite() & high.isfinite()).all():
         raise ConfigError(
             f"action_spec has the limits {low.tolist()} and {high.tolist()}, whose half range is the unit of "

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from torchgrasp.documents import Count, Document, Name, Text, read_document
-from torchgrasp.errors import ConfigError, check_whole
+from torchgrasp.errors import ConfigError, ObjectError, check_whole
 from torchgrasp.objects.file_objects import FileObjects, Source
 from torchgrasp.objects.solids import Solid
 
@@ -40,7 +40,11 @@ def package_folder(package: str, extra: str) -> Path:
 def read_index(kind: str) -> dict[str, str]:
     """Why an object is unusable, by name; empty text for those that are usable, nothing where unknown."""
     file = INDEX_DIR / f"{kind}.json"
-    return read_document(file, ObjectIndex, "install torchgrasp again").objects if file.exists() else {}
+    return (
+        read_document(file, ObjectIndex, "install torchgrasp again", error=ObjectError).objects
+        if file.exists()
+        else {}
+    )
 
 
 class PackagedObjects(FileObjects):
