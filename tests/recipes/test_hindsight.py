@@ -14,7 +14,7 @@ SMALL = ["experiment=[smoke,hindsight/normal]", "objects=procedural"]
 
 def test_fine_tuning_builds_no_expert_and_trains_the_heads(composed, tmp_path, trained):
     """Where there is no expert to be had it runs all the same; its episodes have no label of anybody's."""
-    given = ["total_env_steps=24", f"init={trained[0]}", "expert._target_=no.such.Expert"]
+    given = ["total_env_steps=24", f"init={trained[0]}", "expert._target_=torchgrasp.planning.RandomAction"]
     summary = hindsight.train(composed(*SMALL, *given, recipe="hindsight"))
     assert set(summary["comparison"]) == {"policy", "policy before fine-tuning"}
     assert summary["comparison"]["policy"]["episodes"] == 4 and summary["env_steps"] >= 24

@@ -24,8 +24,10 @@ class StaggeredTargetUpdate(TargetNetUpdater):
         period: critic updates from one hard copy to the next.
 
     Example:
+        >>> from torchgrasp.geometry import ACTION_BOUND
         >>> from torchgrasp.modules import GraspActor, GraspCritic, PointNet
-        >>> loss = GraspTD3BCLoss(GraspActor(PointNet), GraspCritic(PointNet))
+        >>> networks = GraspActor(PointNet), GraspCritic(PointNet)
+        >>> loss = GraspTD3BCLoss(*networks, action_bound=ACTION_BOUND)
         >>> updater = StaggeredTargetUpdate(loss, tau=0.01, period=100)
         >>> updater.step()
         >>> updater.state_dict()["counter"]

@@ -73,6 +73,6 @@ def _serve(pipe: Connection, packed: bytes) -> None:
     serve_parent()
     torch.set_num_threads(1)
     runner = pickle.loads(packed)
-    with suppress(EOFError):
+    with suppress(EOFError, BrokenPipeError):  # the parent is gone
         while True:
             pipe.send_bytes(answer(runner, pipe.recv()))
