@@ -65,7 +65,7 @@ def _mug(*, fused: bool = True) -> Mesh:
 def _shards(count: int) -> Mesh:
     """Small closed balls that together are a bottle."""
     rng = np.random.default_rng(count)
-    points, _ = trimesh.sample.sample_surface(trimesh.creation.cylinder(0.03, 0.16), count, seed=0)
+    points = trimesh.sample.sample_surface(trimesh.creation.cylinder(0.03, 0.16), count, seed=0)[0]
     ball = trimesh.creation.icosphere(1)
     size = 0.006 * np.sqrt(240 / count)
     return _join(
