@@ -14,7 +14,7 @@ demo: $(VENV)/.installed  ## train and evaluate a policy (more options: make dem
 	$(BIN)/python recipes/td3_bc.py $(ARGS)
 
 test: $(VENV)/.installed-dev  ## all tests, doctests and examples (choose: make test ARGS="-k critic")
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## style, formatting and types
 	$(BIN)/ruff check .
