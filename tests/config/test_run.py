@@ -133,7 +133,8 @@ def test_a_checkpoint_of_another_configuration_is_refused(begin):
     run.__exit__(None, None, None)
     change_run(run.folder, **{"model.encoder.width": 0.5})
     with pytest.raises(
-        CheckpointError, match=r"is of another configuration \(.*\): resume the run as it was begun"
+        CheckpointError,
+        match=r"is of another configuration, or damaged \(.*\): resume the run as it was begun",
     ):
         begin(resume=run.folder)
 
