@@ -9,7 +9,6 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor, nn
 
 from torchgrasp.config.parts import build
 from torchgrasp.config.weights_files import TrainedWeights, read_trained
@@ -35,9 +34,7 @@ def rebuild_acting(trained: TrainedWeights, *, critic: bool = False) -> dict[str
     forget_encoder_files(cfg.model)
     critic = critic and "critic" in trained.states
     with torch.device("meta"):  # sizes are compared before anything of that size is allocated
-        outlines = make_networks(cfg.model, critic=critic)
-    for name, outline in outlines.items():
-        _check_sizes(outline, trained.states.get(name, {}), trained.path)
+        _check_sizes(make_networks(cfg.model, critic=critic), trained)
     networks = make_networks(cfg.model, critic=critic)
     _give(networks, trained)
     return networks
@@ -67,26 +64,27 @@ def load_networks(networks: Mapping[str, TensorDictModuleBase], trained: Trained
     if trained.config.get("recipe") == "bc" and "critic" in networks:
         print(f"{trained.path} was trained by imitation: the critic begins anew.")
         networks = {name: each for name, each in networks.items() if name != "critic"}
+    _check_sizes(networks, trained)
     _give(networks, trained)
     return list(networks)
 
 
 def _give(networks: Mapping[str, TensorDictModuleBase], trained: TrainedWeights) -> None:
     for name, network in networks.items():
-        state = trained.states.get(name, {})
-        _check_sizes(network, state, trained.path)
-        network.load_state_dict(state)
+        network.load_state_dict(trained.states[name])
 
 
-def _check_sizes(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
-    ours = {key: tuple(value.shape) for key, value in network.state_dict().items()}
-    theirs = {key: tuple(value.shape) for key, value in state.items()}
-    if ours != theirs:
-        key = next(key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key))
-        raise CheckpointError(
-            f"{path} holds weights of other networks ({key} is {theirs.get(key)}, not {ours.get(key)}): "
-            "choose the model that it was trained with."
-        )
+def _check_sizes(networks: Mapping[str, TensorDictModuleBase], trained: TrainedWeights) -> None:
+    """Refuse trained weights that are not of the networks of the same names, by the first that differs."""
+    for name, network in networks.items():
+        ours = {key: tuple(value.shape) for key, value in network.state_dict().items()}
+        theirs = {key: tuple(value.shape) for key, value in trained.states.get(name, {}).items()}
+        if ours != theirs:
+            key = next(key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key))
+            raise CheckpointError(
+                f"{trained.path} holds weights of other networks ({key} is {theirs.get(key)}, not "
+                f"{ours.get(key)}): choose the model that it was trained with."
+            )
 
 
 def check_frozen(model: DictConfig, untrained: Iterable[str]) -> None:
