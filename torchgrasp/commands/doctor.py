@@ -1,13 +1,13 @@
 """`torchgrasp doctor`: what works on this machine, and what to do about what does not.
 
-Only the standard library is imported here at the top, so that a broken installation can still be told of.
+Only the standard library, and what needs nothing else, is imported here at the top, so that a broken
+installation can still be told of.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import platform
 import tempfile
 from collections.abc import Callable
@@ -15,6 +15,9 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
+
+from torchgrasp.names import one_line
+from torchgrasp.processes import count_cores
 
 _IMPORTED = ("torch", "tensordict", "torchrl", "sapien", "embreex.rtcore_scene", "frankik", "coacd", "hydra")
 
@@ -216,8 +219,7 @@ def check_cache() -> Check:
 
 def check_cores() -> Check:
     """How many processes are worth starting."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return Check("cores", True, f"{cores} usable: collector.num_workers up to that many")
+    return Check("cores", True, f"{count_cores()} usable: collector.num_workers up to that many")
 
 
 def check_vulkan() -> Check:
@@ -262,4 +264,4 @@ def check_cuda() -> Check:
 
 
 def _one_line(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    return one_line(f"{type(error).__name__}: {error}")[:300]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import platform
 import shutil
 from collections.abc import Mapping
@@ -21,6 +20,7 @@ import torchgrasp
 from torchgrasp.data.files import fsync_tree, write_json_atomically, writing
 from torchgrasp.documents import check_document
 from torchgrasp.errors import ConfigError
+from torchgrasp.processes import count_cores
 from torchgrasp.runs.summary import Summary
 
 _PACKAGES = ("torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
@@ -79,7 +79,7 @@ def hardware() -> dict[str, Any]:
     names = [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())]
     return {
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": count_cores(),
         "memory_bytes": psutil.virtual_memory().total,
         "accelerators": names,
         "system": f"{platform.system()} {platform.release()}",
