@@ -62,7 +62,7 @@ def test_every_part_of_conf_stands_at_a_known_place(choice):
 def write(text: str) -> dict:
     return {
         "_target_": f"{PATH}.write_text",
-        "_args_": [{"_target_": PATH, "_args_": ["/tmp/touched"]}, text],
+        "_args_": [{"_target_": PATH, "_args_": ["touched"]}, text],
     }
 
 

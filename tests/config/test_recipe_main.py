@@ -8,7 +8,7 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tests.configurations import ROOT
-from torchgrasp.config.recipe_main import as_written, find_no_choice
+from torchgrasp.config.recipe_main import as_written, find_fault
 
 PATHS = (
     "/data/a=b",
@@ -95,7 +95,7 @@ def test_no_configuration_is_unpickled(run_recipe_of_ones_own):
 
 @pytest.mark.parametrize("override", ["model=5", "model=null", "loss=[1,2]", "env=1.5", "+logger=true"])
 def test_a_group_takes_names_of_its_files_alone(override):
-    told = find_no_choice(ROOT / "conf", ["seed=3", override])
+    told = find_fault(ROOT / "conf", ["seed=3", override])
     assert told is not None and told.startswith(f"{override} is no choice: give one of ")
 
 
@@ -107,4 +107,4 @@ def test_choices_values_and_deletions_are_left_to_hydra():
         "~model",
         "loss=td3_bc,bc",
     ]
-    assert find_no_choice(ROOT / "conf", given) is None
+    assert find_fault(ROOT / "conf", given) is None

@@ -34,7 +34,7 @@ def build(node: Any, *args: Any, **options: Any) -> Any:
         reason = " ".join(str(inner).split())
         raise ConfigError(
             f"{place or 'This part'} cannot be built ({type(inner).__name__}: {reason[:300]}): check its "
-            "options; HYDRA_FULL_ERROR=1 shows where."
+            "options."
         ) from error
 
 

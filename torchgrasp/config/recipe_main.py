@@ -24,9 +24,10 @@ def recipe_main(
 ) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
     """Let a function run from the command line with the configuration that its overrides compose.
 
-    `hydra.main(version_base=None, ...)` with two differences. A value for which Hydra has no reading is taken
-    as it is written: `objects.path=/data/a=b`, `~/meshes` and `/data/Köln (new)` need no quotes but the
-    shell's. And no configuration is unpickled (`--experimental-rerun`).
+    `hydra.main(version_base=None, ...)` with three differences. A value for which Hydra has no reading is
+    taken as it is written: `objects.path=/data/a=b`, `~/meshes` and `/data/Köln (new)` need no quotes but the
+    shell's. What is given for a group and is no name, as `model=5`, is one line instead of a traceback. And
+    no configuration is unpickled (`--experimental-rerun`).
 
     Args:
         config_name: the file, without its suffix.
@@ -49,8 +50,8 @@ def recipe_main(
             if args.experimental_rerun is not None:
                 parser.error("--experimental-rerun unpickles a file, which could run anything")
             args.overrides = [as_written(each) for each in args.overrides]
-            if (refusal := find_no_choice(conf, args.overrides)) is not None:
-                parser.exit(1, f"error: {refusal}\n")
+            if (fault := find_fault(conf, args.overrides)) is not None:
+                parser.exit(1, f"error: {fault}\n")
             _run_hydra(args, parser, task, config_path, config_name)
 
         return run
@@ -77,8 +78,8 @@ def as_written(override: str) -> str:
     return written if _is_readable(written) else override
 
 
-def find_no_choice(conf: Path, overrides: Iterable[str]) -> str | None:
-    """What is wrong with the first override that gives a group of `conf` something else than files' names."""
+def find_fault(conf: Path, overrides: Iterable[str]) -> str | None:
+    """What is wrong with the first override that cannot be read, or gives a group no file of `conf`."""
     for override in overrides:
         try:
             parsed = OverridesParser.create().parse_override(override)

@@ -52,9 +52,9 @@ def run_each(
         most = min(count_cores(), int(psutil.virtual_memory().available // _MEMORY))
         workers = min(most, len(indices) // _WORTH)
     workers = min(workers, len(indices))
-    packed = pickle.dumps(work) if workers > 1 else b"__main__"
+    packed = pickle.dumps(work) if workers > 1 else None
     with _Line(len(indices), label, show=progress) as line:
-        if b"__main__" in packed:
+        if packed is None or b"__main__" in packed:
             for index in indices:
                 line.begin(name(index))
                 work(index)
