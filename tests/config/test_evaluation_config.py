@@ -88,6 +88,9 @@ def test_a_policy_of_the_overhead_camera_follows_that_one(on_command_line, untra
     cfg = evaluation_config(on_command_line(policy, "camera.intrinsics.fov=0.7", recipe="evaluate"))
     assert cfg.overhead.intrinsics.fov == cfg.transforms.points.fov == 1.0
     assert cfg.transforms.aggregate.fov == 0.7
+    given = (policy, "overhead.intrinsics.fov=0.9", "overhead=raycast", "+transforms.table.seed=3")
+    cfg = evaluation_config(on_command_line(*given, recipe="evaluate"))
+    assert cfg.transforms.points.fov == 0.9 and cfg.transforms.table.seed == 3
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
 """Hydra's command line, on which paths are given as they are."""
 
-import subprocess
+import runpy
 import sys
 import textwrap
 
 import pytest
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tests.configurations import ROOT
@@ -52,8 +53,8 @@ def test_a_sweep_stays_a_sweep_and_home_is_expanded(monkeypatch):
 
 
 @pytest.fixture
-def run_recipe_of_ones_own(tmp_path):
-    """Runs a small recipe by its command line; returns exit code, output and errors."""
+def run_recipe_of_ones_own(tmp_path, monkeypatch, capsys):
+    """Runs a small recipe as its command line would in this process; returns exit code, output and errors."""
     (tmp_path / "conf").mkdir()
     (tmp_path / "conf" / "main.yaml").write_text(
         f"path: null\nhydra: {{run: {{dir: {tmp_path}/out}}, sweep: {{dir: {tmp_path}/out}}}}\n"
@@ -71,13 +72,19 @@ def run_recipe_of_ones_own(tmp_path):
                 main()
         """)
     )
+    monkeypatch.chdir(tmp_path)
 
-    def run(*overrides: str) -> tuple[int, str, str]:
-        command = [sys.executable, "-W", "ignore", str(tmp_path / "recipe.py"), *overrides]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=tmp_path)
-        return done.returncode, done.stdout, done.stderr
+    def run(*overrides: str) -> tuple[object, str, str]:
+        monkeypatch.setattr(sys, "argv", ["recipe.py", *overrides])
+        code: object = 0
+        try:
+            runpy.run_path(str(tmp_path / "recipe.py"), run_name="__main__")
+        except SystemExit as ended:
+            code = ended.code
+        return code, *capsys.readouterr()
 
-    return run
+    yield run
+    HydraConfig.instance().cfg = None
 
 
 def test_a_recipe_of_ones_own_gets_the_path_and_the_command_line_stays(run_recipe_of_ones_own):

@@ -50,7 +50,8 @@ def _is_fixed(given: Override) -> bool:
     """Whether an override would make other networks, or transforms of another order."""
     part, _, inner = given.key_or_group.partition(".")
     if part == "transforms":
-        return not (is_plain(given) and inner)
+        # A whole transform, or an argument of one: `+transforms.points.camera=overhead`.
+        return given.is_delete() or not inner or (not is_plain(given) and "." not in inner)
     return part in _FIXED or (part in _CAMERAS and given.is_delete())
 
 
