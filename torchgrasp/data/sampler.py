@@ -248,6 +248,9 @@ class MixtureSampler(StateFiles, Sampler):
                 f"cannot be loaded with priority={self._priority}: build it as it was."
             )
         self.set_shares(state_dict["shares"])
+        # What was written until now is not of this state: it is read from the storage that comes with it.
+        self._journal.read()
+        self._storage = None
         for name, pool in self._pools.items():
             if not isinstance(pool, PriorityPool):
                 pool.load(state_dict["rows"][name])
