@@ -15,8 +15,8 @@ from pathlib import Path
 
 from tests.recipes.runner import command, environment, find_processes, find_run, read_results
 
-GIVEN = ["experiment=smoke", "collector.num_workers=2", "pretrain.steps=300", "total_env_steps=400"]
-GIVEN += ["evaluation.episodes=40", "evaluation.baselines=[random]", "objects.num_objects=12"]
+GIVEN = ["experiment=smoke", "collector.num_workers=2", "pretrain.steps=100", "total_env_steps=150"]
+GIVEN += ["evaluation.episodes=20", "evaluation.baselines=[random]"]
 GIVEN += ["checkpoint.steps=1000", "checkpoint.iterations=1000"]
 SIGNALS = {"INT": [signal.SIGINT], "TERM": [signal.SIGTERM], "INT twice": 2 * [signal.SIGINT]}
 SIGNALS["KILL"] = [signal.SIGKILL]
@@ -32,15 +32,15 @@ def printed(text: str) -> Callable[[Path, Path], bool]:
 
 # Phase -> whether it has begun, by the run directory's root and by what was printed.
 PHASES = {
-    "preparation": printed("objects:"),
+    "preparation": lambda root, _: any(root.glob("cache/objects/**/*.lock")),
     "demonstrations": exists("demonstrations/card.json"),
     "imitation": exists("metrics.csv"),
-    "measurement": printed("imitation: 300/300"),
+    "measurement": printed("imitation: 100/100"),
     "reinforcement": lambda root, _: any(
         "env_steps" in path.read_text() for path in root.glob("td3_bc/*/metrics.csv")
     ),
     "evaluation": printed("reinforcement: "),
-    "report": printed("random: 40/40"),
+    "report": printed("random: 20/20"),
 }
 
 
