@@ -81,10 +81,8 @@ def split_bodies(vertices: Points, faces: Faces) -> list[tuple[Points, Faces]]:
 
 def _group(vertices: Points, faces: Faces, owner: Faces, count: int) -> Faces:
     """(count,) the body to which each connected piece belongs."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    _, first, times = np.unique(edges, axis=0, return_index=True, return_counts=True)
     is_open = np.zeros(count, bool)
-    is_open[owner[first[times % 2 == 1] // 3]] = True
+    is_open[owner[_faces_at_holes(vertices, faces)]] = True
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     for corner in faces.T:
         np.minimum.at(low, owner, vertices[corner])
@@ -102,6 +100,14 @@ def _group(vertices: Points, faces: Faces, owner: Faces, count: int) -> Faces:
     if is_open.any():
         group[is_open] = np.flatnonzero(is_open)[0]
     return group
+
+
+def _faces_at_holes(vertices: Points, faces: Faces) -> Faces:
+    """Indices of faces that have an edge of their own; none where the surface is closed."""
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    code = edges[:, 0] * len(vertices) + edges[:, 1]
+    _, first, times = np.unique(code, return_index=True, return_counts=True)
+    return first[times % 2 == 1] // 3
 
 
 def _split_body(vertices: Points, faces: Faces, concavity: float, max_faces: int) -> list[Points]:
@@ -164,14 +170,16 @@ def _decompose(vertices: Points, faces: Faces, concavity: float, max_faces: int)
     corners, triangles = simplify(vertices, faces, max_faces=max_faces)
     if len(triangles) < 4:
         return [vertices]
-    # A third of coacd's own search costs a third of its time and two parts more on a mug.
+    # A third of coacd's own search costs a third of its time and two parts more on a mug. Open bodies are
+    # made solid first, with ragged faces: there an eighth of it halves the time again, 35 parts for 33.
+    nodes, iterations = (5, 20) if len(_faces_at_holes(vertices, faces)) else (10, 50)
     pieces = coacd.run_coacd(
         coacd.Mesh(corners, triangles.astype(np.int32)),
         threshold=concavity,
         max_ch_vertex=MAX_PART_VERTICES,
         decimate=True,
-        mcts_nodes=10,
-        mcts_iterations=50,
+        mcts_nodes=nodes,
+        mcts_iterations=iterations,
     )
     return [np.asarray(corners, np.float64) for corners, _ in pieces]
 
