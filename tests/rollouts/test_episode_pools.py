@@ -15,6 +15,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs import Compose, TransformedEnv
 
+from tests.warm_python import WarmProcess
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.modules import DecayingUniformNoise
@@ -219,7 +220,7 @@ def test_workers_end_with_who_started_them(tmp_path, end):
         "        list(batches)\n"
     )
     command, pipe = [sys.executable, str(script)], subprocess.PIPE
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, start_new_session=True) as process:
+    with WarmProcess(command, stdout=pipe, stderr=pipe, start_new_session=True) as process:
         assert process.stdout.readline() == "running\n"
         if end == signal.SIGKILL:
             process.kill()
