@@ -1,9 +1,10 @@
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
+
+from tests import warm_python
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -27,7 +28,7 @@ def run_benchmark(tmp_path):
 
     def run(*overrides: str):
         command = [sys.executable, str(BENCHMARKS / "benchmark.py"), f"output_dir={tmp_path}", *overrides]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=tmp_path)
+        done = warm_python.run(command, timeout=240, cwd=tmp_path)
         return done.returncode, done.stdout, done.stderr
 
     return run

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from tests import warm_python
 from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.errors import ConfigError, StorageError
 
@@ -65,19 +66,18 @@ def test_how_to_go_on_stands_behind_the_error_in_the_same_line(capsys):
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interruption_is_one_line_and_its_exit_code(number, code):
-    script = f"""
-import os, signal
+def test_an_interruption_is_one_line_and_its_exit_code(tmp_path, number, code):
+    script = tmp_path / "script.py"
+    script.write_text(f"""
+import os
 from torchgrasp.config.one_line_errors import one_line_errors
-
-signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @one_line_errors()
 def main():
     os.kill(os.getpid(), {int(number)})
 
 main()
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+""")
+    done = warm_python.run([sys.executable, str(script)], timeout=60)
     told = f"interrupted by {signal.Signals(number).name}\n"
     assert (done.returncode, done.stdout, done.stderr) == (code, "", told)

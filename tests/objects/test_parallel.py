@@ -9,7 +9,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from tests import warm_python
 from tests.objects.building_work import die_at_two, leave_process, refuse_two, take_long
+from tests.warm_python import WarmProcess
 from torchgrasp.errors import ObjectError
 from torchgrasp.objects.parallel import run_each
 
@@ -63,7 +65,7 @@ def test_a_script_without_a_main_guard_runs_once(tmp_path):
         f"work = partial(leave_process, Path({str(tmp_path / 'out')!r}))\n"
         "run_each(work, range(4), workers=2, label='test', progress=False)",
     )
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    run = warm_python.run(command, timeout=60)
     assert (run.returncode, run.stdout, run.stderr) == (0, "running\n", "")
     assert len(list((tmp_path / "out").iterdir())) == 4
 
@@ -75,7 +77,7 @@ def test_what_other_processes_cannot_find_is_done_in_this_one(tmp_path):
         "def work(index): print(index)\n"
         "run_each(work, range(4), workers=2, label='test')",
     )
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    run = warm_python.run(command, timeout=60)
     assert (run.returncode, run.stdout) == (0, "running\n0\n1\n2\n3\n")
 
 
@@ -89,7 +91,7 @@ def test_building_processes_end_with_the_one_that_started_them(tmp_path, end):
         f"work = partial(hang, Path({str(tmp_path / 'out')!r}))\n"
         "run_each(work, range(4), workers=2, label='test')",
     )
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+    with WarmProcess(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         builders = wait_for_two(tmp_path / "out")
         process.send_signal(end)
         process.wait(timeout=20)

@@ -1,7 +1,6 @@
-import subprocess
-
 import pytest
 
+from tests import warm_python
 from tests.configurations import compose_config
 from tests.recipes.runner import command, environment, find_run
 
@@ -11,13 +10,8 @@ def run_recipe(tmp_path):
     """Starts a recipe as a user would and returns (exit code, standard output, standard error)."""
 
     def run(name: str, *overrides: str, timeout: float = 240):
-        finished = subprocess.run(
-            command(name, tmp_path, *overrides),
-            capture_output=True,
-            text=True,
-            timeout=timeout,
-            env=environment(),
-        )
+        given = command(name, tmp_path, *overrides)
+        finished = warm_python.run(given, timeout=timeout, env=environment())
         return finished.returncode, finished.stdout, finished.stderr
 
     return run

@@ -8,6 +8,7 @@ import time
 
 from recipes import collect
 from tests.recipes.runner import command, environment
+from tests.warm_python import WarmProcess
 from torchgrasp.data import count_shards, open_demonstrations
 
 
@@ -31,7 +32,7 @@ def test_killed_at_any_moment_and_resumed_equals_never_killed(composed, tmp_path
     """Killed by SIGKILL while two workers collect; shards hold the failures of their rounds alone."""
     given = ["demonstrations.kind=failed", "demonstrations.steps=200"]
     path = tmp_path / "killed"
-    process = subprocess.Popen(
+    process = WarmProcess(
         command(
             *("collect", tmp_path, "experiment=smoke", *given),
             *("collector.num_workers=2", f"demonstrations.path={path}"),

@@ -12,6 +12,7 @@ import torch
 
 from recipes import collect, evaluate, td3_bc
 from tests.recipes.runner import command, environment, find_run, read_results
+from tests.warm_python import WarmProcess
 from torchgrasp.config import Run, gather_sources, make_actor_critic, training_config
 from torchgrasp.errors import StorageError
 from torchgrasp.interruption import Interrupted
@@ -73,28 +74,26 @@ def test_training_in_another_thread_than_the_main_one(composed, tmp_path):
     assert done == [find_run(tmp_path, "td3_bc")]
 
 
-def start(name: str, output_dir: Path, *overrides: str, **options) -> subprocess.Popen:
+def start(name: str, output_dir: Path, *overrides: str, **options) -> WarmProcess:
     """A recipe in a session of its own, in which ctrl-C is not ignored, as in a terminal."""
-    return subprocess.Popen(
+    return WarmProcess(
         command(name, output_dir, *overrides),
         env=environment(),
         start_new_session=True,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         **options,
     )
 
 
-def wait_for(condition, process: subprocess.Popen) -> None:
+def wait_for(condition, process: WarmProcess) -> None:
     deadline = time.monotonic() + 120
     while not condition():
         assert process.poll() is None and time.monotonic() < deadline, process.stdout
         time.sleep(0.02)
 
 
-def end(process: subprocess.Popen, number: int) -> str:
+def end(process: WarmProcess, number: int) -> str:
     """What is printed in all, once the process and all that hold its output have ended; as by a terminal."""
     os.killpg(process.pid, number)
     told, _ = process.communicate(timeout=60)
@@ -144,7 +143,7 @@ def test_the_jobs_of_a_sweep_end_in_good_order_and_no_further_one_begins(tmp_pat
     launcher = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     given = [*SMOKE, "total_env_steps=100000", *launcher, "seed=0,1,2", "-m"]
     process = start("td3_bc", tmp_path, *given)
-    wait_for(lambda: len(metrics_of(tmp_path)) == 2, process)
+    wait_for(lambda: sum(path.stat().st_size > 0 for path in metrics_of(tmp_path)) == 2, process)
     os.kill(process.pid, signal.SIGTERM)  # as by a scheduler, which may tell the jobs as well
     told = end(process, signal.SIGTERM)
     assert process.returncode == 143, told

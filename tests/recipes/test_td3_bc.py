@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from recipes import td3_bc
+from tests import warm_python
 from tests.configurations import change_run
 from tests.recipes.runner import (
     command,
@@ -20,6 +21,7 @@ from tests.recipes.runner import (
     read_metrics,
     read_results,
 )
+from tests.warm_python import WarmProcess
 from torchgrasp.config import Run, make_actor_critic
 from torchgrasp.errors import CheckpointError, ConfigError
 
@@ -32,13 +34,8 @@ REQUIRED = {
 @pytest.fixture(scope="module")
 def finished_run(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("whole")
-    subprocess.run(
-        command("td3_bc", root, "experiment=smoke"),
-        check=True,
-        timeout=300,
-        env=environment(),
-        capture_output=True,
-    )
+    done = warm_python.run(command("td3_bc", root, "experiment=smoke"), timeout=300, env=environment())
+    assert done.returncode == 0, done.stderr
     return find_run(root, "td3_bc")
 
 
@@ -86,7 +83,7 @@ def test_a_run_tells_where_its_time_goes_and_its_memory(finished_run):
 @pytest.mark.parametrize(("kill_at", "overrides"), [(0, []), (8, []), (15, ["collector.num_workers=1"])])
 def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at, overrides):
     """Killed at the first checkpoint (0, while it imitates) or at a gradient step; also with a worker."""
-    process = subprocess.Popen(
+    process = WarmProcess(
         command("td3_bc", tmp_path, "experiment=smoke", *overrides),
         env=environment(),
         start_new_session=True,
@@ -97,13 +94,8 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at,
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert not (run_dir / "summary.json").exists()
-    subprocess.run(
-        command("td3_bc", tmp_path, f"resume={run_dir}"),
-        check=True,
-        timeout=300,
-        env=environment(),
-        capture_output=True,
-    )
+    done = warm_python.run(command("td3_bc", tmp_path, f"resume={run_dir}"), timeout=300, env=environment())
+    assert done.returncode == 0, done.stderr
     assert read_results(run_dir) == read_results(finished_run)
     ours, theirs = (json.loads((each / "summary.json").read_text()) for each in (run_dir, finished_run))
     assert ours["comparison"] == theirs["comparison"]
@@ -112,7 +104,7 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at,
     assert len(weights[0]) > 1000 and weights[0][-100_000:] == weights[1][-100_000:]
 
 
-def _wait_for_step(root: Path, step: int, process: subprocess.Popen) -> Path:
+def _wait_for_step(root: Path, step: int, process: WarmProcess | subprocess.Popen) -> Path:
     deadline = time.monotonic() + 240
     while time.monotonic() < deadline and process.poll() is None:
         for run_dir in root.glob("td3_bc/*"):
