@@ -38,20 +38,25 @@ def meshes(tmp_path_factory) -> Path:
     return folder
 
 
+SMALL = ["env.num_envs=2", "env.horizon=3", "objects.num_objects=1", "num_points=32"]
+SMALL += ["camera.intrinsics.width=32", "camera.intrinsics.height=32"]
+
+
 @pytest.mark.parametrize("camera", cameras())
-@pytest.mark.parametrize(
-    ("env", "objects", "transforms"), [*product(choices("env"), choices("objects"), choices("transforms"))]
-)
-def test_every_environment_passes_check_env_specs(composed, meshes, env, objects, camera, transforms):
-    chosen = [f"env={env}", f"objects={objects}", f"camera={camera}", f"transforms={transforms}"]
-    chosen += ["env.num_envs=2", "env.horizon=3", "objects.num_objects=1", "num_points=32"]
-    chosen += ["camera.intrinsics.width=32", "camera.intrinsics.height=32"]
-    chosen += [f"objects.path={meshes}"] if objects in ("folder", "acronym") else []
-    cfg = composed(*chosen)
+@pytest.mark.parametrize(("env", "transforms"), [*product(choices("env"), choices("transforms"))])
+def test_every_environment_passes_check_env_specs(composed, env, camera, transforms):
+    cfg = composed(f"env={env}", f"camera={camera}", f"transforms={transforms}", *SMALL)
     if transforms in IMAGES and not camera.startswith("render"):
         with pytest.raises(ConfigError, match="give the env a RenderCamera"):
             check_env_specs(make_split_env(cfg, "train"))
         return
+    check_env_specs(make_split_env(cfg, "train"), break_when_any_done="both")
+
+
+@pytest.mark.parametrize("objects", choices("objects"))
+def test_the_objects_of_every_kind_are_met(composed, meshes, objects):
+    path = [f"objects.path={meshes}"] if objects in ("folder", "acronym") else []
+    cfg = composed(f"objects={objects}", "camera=raycast", *SMALL, *path)
     check_env_specs(make_split_env(cfg, "train"), break_when_any_done="both")
 
 

@@ -1,11 +1,12 @@
 """Cells of the paper's tables: each composes with every scale, builds, and is what its name says."""
 
+import functools
 import re
 
 import pytest
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
-from tests.configurations import ROOT
+from tests.configurations import ROOT, compose_config
 from torchgrasp.config import make_actor_critic, make_imitation_learner
 from torchgrasp.config.demonstration_sources import list_demonstrations
 from torchgrasp.config.environments import make_objects
@@ -67,6 +68,11 @@ def compose_cell(composed):
     return compose
 
 
+@functools.cache
+def compose_plain(scale: str) -> DictConfig:
+    return compose_config(f"experiment=[{scale},table2/aux_both]")
+
+
 def test_every_cell_is_promised_something():
     assert list(PROMISED) and set(PROMISED) == set(CELLS)
 
@@ -78,7 +84,7 @@ def test_a_cell_composes_with_every_scale_and_builds(compose_cell, cell, scale):
     check_training(cfg)
     for name, promised in PROMISED[cell].items():
         assert OmegaConf.select(cfg, name) == promised, name
-    plain = compose_cell("table2/aux_both", scale)
+    plain = compose_plain(scale)
     assert cfg.total_env_steps == plain.total_env_steps and cfg.online.updates == plain.online.updates
     assert cfg.demonstrations.steps == plain.demonstrations.steps
     # Encoders of a run that is begun with may be frozen; there is none here.
