@@ -136,7 +136,7 @@ def main(cfg: DictConfig) -> None:
     check_values(cfg, Pendulum)
     try_folder(cfg.output_dir)
     rows = {}
-    print("seed  return before  return after  seconds")
+    print("seed  return before  return after  seconds", flush=True)
     for seed in [cfg.seeds] if isinstance(cfg.seeds, int) else cfg.seeds:
         rows[seed] = row = train(cfg, seed)
         print(f"{seed:4d}  {row['before']:13.0f}  {row['after']:12.0f}  {row['seconds']:7.0f}", flush=True)
