@@ -33,6 +33,7 @@ _ENCODERS: dict[str, tuple[Encoder, bool, bool]] = {
     "plain, BatchNorm": (partial(_plain, norm="batch"), False, False),
     "plain": (_plain, False, False),
     "plain, bfloat16": (_plain, True, False),
+    "plain, BatchNorm, compiled": (partial(_plain, norm="batch"), False, True),
     "plain, compiled": (_plain, False, True),
     "pointnet2": (PointNet2, False, False),
     "pointnet2, bfloat16": (PointNet2, True, False),
@@ -61,7 +62,7 @@ def compare_encoders(cfg: DictConfig, what: str, make: MakePass) -> list[dict]:
     for name in _ENCODERS:
         if name.endswith("compiled") and not cfg.clouds.compiled:
             continue
-        row = _in_process(make, name, cfg)
+        row = _measure_alone(make, name, cfg)
         rows.append(row)
         row["over_batch_norm"] = rows[0]["seconds"] / row["seconds"]
         row["over_plain"] = rows[min(1, len(rows) - 1)]["seconds"] / row["seconds"]
@@ -73,9 +74,11 @@ def compare_encoders(cfg: DictConfig, what: str, make: MakePass) -> list[dict]:
     return rows
 
 
-def _in_process(make: MakePass, name: str, cfg: DictConfig) -> dict:
-    """Measure in a process of its own, whose largest memory is then this encoder's."""
+def _measure_alone(make: MakePass, name: str, cfg: DictConfig) -> dict:
+    """Measure in a process of its own on a CPU, whose largest memory is then this encoder's."""
     options = {**cfg.clouds, "device": cfg.device}
+    if torch.device(cfg.device).type == "cuda":  # its memory can be counted anew
+        return measure_pass(make, name, options)
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(measure_pass, (make, name, options))
 
@@ -86,6 +89,9 @@ def measure_pass(make: MakePass, name: str, options: dict) -> dict:
     torch.manual_seed(0)
     encoder, low, compiled = _ENCODERS[name]
     device = torch.device(options["device"])
+    if device.type == "cuda":
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
     run, parameters = make(partial(_compiled, encoder) if compiled else encoder, options, device)
     before, times = _peak_megabytes(device), []
     for _ in range(options["repeats"] + 1):

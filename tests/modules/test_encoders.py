@@ -1,5 +1,6 @@
 """The encoders of clouds: batches, masks, invariances, precisions, vmap, compilers."""
 
+import warnings
 from functools import partial
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 from torch import nn
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules import PointNet, PointNet2
+from torchgrasp.modules import PointNet, PointNet2, layers
 from torchgrasp.modules.plain_pointnet2 import PlainPointNet2
 
 ENCODERS = [PointNet, PointNet2]
@@ -140,6 +141,20 @@ def test_autocast_keeps_the_gradients(make):
     assert ((features - expected).norm() / expected.norm()).item() < 0.02
     found = _gradients(encoder, features.float().square().sum())
     assert nn.functional.cosine_similarity(found, gradient, dim=0).item() > 0.99
+
+
+def test_bfloat16_is_warned_of_once_where_it_is_slow():
+    layers._warn_of_slow_bfloat16.cache_clear()
+    encoder = PointNet(4, width=0.1)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        encoder(_clouds(1))
+        assert not caught
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            encoder(_clouds(1))
+            encoder(_clouds(1))
+    slow = not torch.ops.mkldnn._is_mkldnn_bf16_supported()
+    assert sum("bfloat16" in str(warning.message) for warning in caught) == slow
 
 
 @pytest.mark.parametrize("make", ENCODERS)

@@ -4,6 +4,7 @@ import pytest
 import torch
 from torch import nn
 
+from torchgrasp.modules import PointNet2, pooling
 from torchgrasp.modules.layers import mlp
 from torchgrasp.modules.pooling import max_over_neighbours, max_over_rows
 
@@ -28,6 +29,27 @@ def test_rows(norm, groups):
     found = max_over_rows(layers, rows)
     torch.testing.assert_close(found, expected)
     torch.testing.assert_close(_gradients(layers, [rows], found), dense)
+
+
+def test_a_row_for_each_channel():
+    """What CUDA devices do with long groups: 50 rows, of which each of 20 channels keeps its winner."""
+    torch.manual_seed(0)
+    layers = mlp((5, 16, 20), norm="layer", last_activation=True).double()
+    rows = torch.randn(3, 50, 5, dtype=torch.float64, requires_grad=True)
+    expected = layers(rows).amax(dim=1)
+    dense = _gradients(layers, [rows], expected)
+    found = pooling._max_over_winners(layers, rows)
+    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(_gradients(layers, [rows], found), dense)
+
+
+def test_which_networks_one_kernel_holds():
+    stages = PointNet2(4, width=0.1).abstractions
+    assert [len(pooling._linear_layers(stage.rest)) for stage in stages] == [2, 2]
+    assert not pooling._linear_layers(PointNet2(4, width=0.1, norm="layer").abstractions[0].rest)
+    assert not pooling._linear_layers(nn.Sequential(nn.ReLU(), nn.Linear(3, 4)))
+    assert not pooling._linear_layers(nn.Sequential(nn.ReLU(), nn.Linear(3, 4), nn.Tanh()))
+    assert not pooling._linear_layers(nn.Sequential(nn.ReLU(), nn.Linear(3, 4, bias=False), nn.ReLU()))
 
 
 def test_neighbours():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchgrasp.ops import cuda, dense
+from torchgrasp.ops import ball_max, cuda, dense
 
 
 def test_kernels_equal_the_definitions():
@@ -37,3 +37,4 @@ def test_wrong_kernels_are_noticed():
 
 def test_the_cpu_takes_no_kernels():
     assert cuda.cuda_kernels(torch.rand(5, 3)) is None
+    assert not ball_max.serves(torch.rand(2, 5, 3))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Literal
@@ -50,6 +52,24 @@ class RowGroupNorm(nn.GroupNorm):
         return super().forward(rows.flatten(0, -2)).view(rows.shape)
 
 
+def warn_of_slow_bfloat16(inputs: Tensor) -> None:
+    """Warn, once, where products will be bfloat16 on a CPU that has no instructions for them."""
+    if inputs.device.type != "cpu" or torch.compiler.is_compiling():
+        return
+    low = torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") == torch.bfloat16
+    if low or inputs.dtype == torch.bfloat16:
+        _warn_of_slow_bfloat16()
+
+
+@functools.cache
+def _warn_of_slow_bfloat16() -> None:
+    if torch.backends.mkldnn.is_available() and not torch.ops.mkldnn._is_mkldnn_bf16_supported():
+        warnings.warn(
+            "This CPU has no bfloat16 arithmetic: float32, without autocast, is about ten times as fast.",
+            stacklevel=4,
+        )
+
+
 def shrink_last_layer(network: nn.Sequential, factor: float) -> None:
     """Scale the last linear layer's weights, so that outputs start near its (zeroed) bias."""
     last = network[-1]
@@ -77,6 +97,7 @@ def flatten_clouds(
             f"clouds of shape {tuple(points.shape)} do not go into an encoder of {in_channels} channels: "
             f"give (*, N, {in_channels}) with N at least 1."
         )
+    warn_of_slow_bfloat16(points)
     flat = points.reshape(-1, *points.shape[-2:])
     if mask is None:
         return flat, None

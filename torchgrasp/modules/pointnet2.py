@@ -3,8 +3,8 @@
 The sizes are the released code's: 32 centres of radius 2 cm, 32 of 4 cm, one global, then 1024 and
 512. Three rearrangements leave the function as it is: the first layer of a set abstraction acts on
 points before they are grouped, W [x_j - c, f_j] = W [x_j, f_j] - W_x c; a ball takes no more places than
-there are points; and only rows that win the max carry a graph (`pooling`). `plain_pointnet2.PlainPointNet2`
-is the same network without them.
+there are points; and only rows that win the max carry a graph (`pooling`; on a GPU kernels of their own
+take the rows of balls). `plain_pointnet2.PlainPointNet2` is the same network without them.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.modules.image_weights import load_image_weights
-from torchgrasp.modules.layers import GROUP_CHANNELS
+from torchgrasp.modules.layers import GROUP_CHANNELS, warn_of_slow_bfloat16
 
 ImageNorm = Literal["group", "batch", "frozen"]
 
@@ -89,6 +89,7 @@ class ResNet18(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         """(*, C, H, W) images to (*, F) features."""
         _check_images(images, self.in_channels)
+        warn_of_slow_bfloat16(images)
         batch = images.shape[:-3]
         rows = images.reshape(-1, *images.shape[-3:])
         rows = self.bn1(self.conv1((rows - self.offset) / self.spread)).relu()

@@ -1,4 +1,4 @@
-"""Point operations on tensors: sampling, neighbourhoods, grouping. Nothing else, and no tensordict.
+"""Point operations on tensors: sampling, neighbourhoods, grouping, pooling. Nothing else, and no tensordict.
 
 `definitions` spells each operation out as its definition; the functions here give the same answers, bit
 for bit, on batches and fast, on the CPU (`dense`) and on CUDA devices (`kernels`). Nothing is compiled

@@ -52,6 +52,7 @@ def check_against_dense(kernels: ModuleType, device: torch.device) -> None:
         centres = xyz.gather(1, index[..., None].expand(-1, -1, 3))
         pairs = (
             (kernels.farthest_point_sample(xyz, first, valid, 9), index),
+            (kernels.farthest_point_sample(xyz, None, valid, 9), index),
             (
                 kernels.ball_query(xyz, centres, valid, 0.02, 6),
                 dense.ball_query(xyz, centres, valid, 0.02, 6),

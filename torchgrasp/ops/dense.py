@@ -24,8 +24,9 @@ def outermost_point(xyz: Tensor, mask: Tensor | None) -> Tensor:
     return hide(distance, mask).argmax(dim=-1)
 
 
-def farthest_point_sample(xyz: Tensor, first: Tensor, mask: Tensor | None, num: int) -> Tensor:
-    """(*, N, 3) clouds and the (*) index to begin with to (*, num) indices."""
+def farthest_point_sample(xyz: Tensor, first: Tensor | None, mask: Tensor | None, num: int) -> Tensor:
+    """(*, N, 3) clouds and the (*) index to begin with, None for the outermost, to (*, num) indices."""
+    first = outermost_point(xyz, mask) if first is None else first
     xyz = wide(xyz)
     nearest = hide(torch.full(xyz.shape[:-1], torch.inf, dtype=xyz.dtype, device=xyz.device), mask)
     chosen = [first]

@@ -1,4 +1,4 @@
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
 """Point operations as Triton kernels, compiled when first called. Imported on CUDA devices alone.
 
 A program holds one cloud's coordinates in registers: sampling then reads memory once instead of once a
@@ -16,18 +16,19 @@ import triton.language as tl
 from torch import Tensor
 
 
-def farthest_point_sample(xyz: Tensor, first: Tensor, mask: Tensor | None, num: int) -> Tensor:
-    """(*, N, 3) clouds and the (*) index to begin with to (*, num) int64 indices."""
+def farthest_point_sample(xyz: Tensor, first: Tensor | None, mask: Tensor | None, num: int) -> Tensor:
+    """(*, N, 3) clouds and the (*) index to begin with, None for the outermost, to (*, num) int64 indices."""
     points, hidden = _flat(xyz, mask)
     clouds, num_points, _ = points.shape
     index = torch.empty((clouds, num), dtype=torch.int64, device=xyz.device)
-    first = first.reshape(-1).contiguous()
+    begins = index if first is None else first.reshape(-1).contiguous()
     block = triton.next_power_of_2(num_points)
-    with _on_device_of(xyz):
+    with on_device_of(xyz):
         _farthest[(clouds,)](
-            *(points, hidden, first, index, num_points, num, mask is not None),
+            *(points, hidden, begins, index, num_points, num, mask is not None, first is None),
             BLOCK=block,
             enable_fp_fusion=False,
+            **_launch(block),
         )
     return index.reshape(*xyz.shape[:-2], num)
 
@@ -40,16 +41,23 @@ def ball_query(xyz: Tensor, centres: Tensor, mask: Tensor | None, radius: float,
     index = torch.empty((clouds, num_centres, num), dtype=torch.int64, device=xyz.device)
     limit = torch.tensor(radius**2, dtype=torch.float32).item()
     block = triton.next_power_of_2(num_points)
-    with _on_device_of(xyz):
+    with on_device_of(xyz):
         _ball[(clouds, num_centres)](
             *(points, hidden, middle, index, num_points, num_centres, num, limit, mask is not None),
             BLOCK=block,
+            PLACES=triton.next_power_of_2(num),
             enable_fp_fusion=False,
+            **_launch(block),
         )
     return index.reshape(*centres.shape[:-1], num)
 
 
-def _on_device_of(xyz: Tensor) -> AbstractContextManager:
+def _launch(block: int) -> dict[str, int]:
+    """A reduction over few points needs no warp but one."""
+    return {"num_warps": 1 if block <= 256 else 4}
+
+
+def on_device_of(xyz: Tensor) -> AbstractContextManager:
     """Triton launches on the current device, whatever the tensors are on."""
     return torch.cuda.device(xyz.device) if xyz.is_cuda else nullcontext()
 
@@ -75,19 +83,42 @@ def _load_cloud(points, hidden, cloud, num_points, masked: tl.constexpr, BLOCK: 
 
 
 @triton.jit
-def _farthest(points, hidden, first, index, num_points, num, masked: tl.constexpr, BLOCK: tl.constexpr):
+def _farthest(
+    points,
+    hidden,
+    first,
+    index,
+    num_points,
+    num,
+    masked: tl.constexpr,
+    outermost: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
     cloud = tl.program_id(0).to(tl.int64)
     _row, inside, valid, x, y, z = _load_cloud(points, hidden, cloud, num_points, masked, BLOCK)
     # Padding lies nearer than any point, and what is beyond the cloud nearer than padding.
-    nearest = tl.where(valid, float("inf"), tl.where(inside, -1.0, -2.0))
-    last = tl.load(first + cloud)
+    behind = tl.where(inside, -1.0, -2.0)
+    if outermost:
+        dx, dy, dz = x - _middle(x, valid), y - _middle(y, valid), z - _middle(z, valid)
+        distance = dx * dx + dy * dy + dz * dz
+        # Of NaN nothing is true, and it is as near as padding.
+        last = tl.argmax(tl.where(valid & (distance >= 0.0), distance, behind), axis=0).to(tl.int64)
+    else:
+        last = tl.load(first + cloud)
     tl.store(index + cloud * num, last)
+    nearest = tl.where(valid, float("inf"), behind)
     for i in range(1, num):
         at = points + (cloud * num_points + last) * 3
         dx, dy, dz = x - tl.load(at), y - tl.load(at + 1), z - tl.load(at + 2)
         nearest = tl.minimum(nearest, dx * dx + dy * dy + dz * dz)
         last = tl.argmax(nearest, axis=0).to(tl.int64)
         tl.store(index + cloud * num + i, last)
+
+
+@triton.jit
+def _middle(x, valid):
+    low, high = tl.where(valid, x, float("inf")), tl.where(valid, x, float("-inf"))
+    return (tl.min(low, axis=0) + tl.max(high, axis=0)) / 2
 
 
 @triton.jit
@@ -102,16 +133,23 @@ def _ball(
     limit,
     masked: tl.constexpr,
     BLOCK: tl.constexpr,
+    PLACES: tl.constexpr,
 ):
     cloud = tl.program_id(0).to(tl.int64)
     centre = cloud * num_centres + tl.program_id(1)
     row, _inside, valid, x, y, z = _load_cloud(points, hidden, cloud, num_points, masked, BLOCK)
     at = middle + centre * 3
     dx, dy, dz = x - tl.load(at), y - tl.load(at + 1), z - tl.load(at + 2)
-    distance = tl.where(valid, dx * dx + dy * dy + dz * dz, float("inf"))
-    filler = tl.argmin(distance, axis=0)
-    for k in range(0, num):
-        found = tl.argmin(distance, axis=0)
-        near = tl.min(distance, axis=0) <= limit
-        tl.store(index + centre * num + k, tl.where(near, found, filler).to(tl.int64))
+    distance = dx * dx + dy * dy + dz * dz
+    distance = tl.where(valid & (distance >= 0.0), distance, float("inf"))  # NaN is nobody's neighbour
+    nearest = tl.min(distance, axis=0)
+    filler = tl.min(tl.where(distance == nearest, row, BLOCK), axis=0)
+    found, k = filler, 0
+    while (k < num) & (nearest <= limit):
+        tl.store(index + centre * num + k, found.to(tl.int64))
         distance = tl.where(row == found, float("inf"), distance)
+        nearest = tl.min(distance, axis=0)
+        found = tl.min(tl.where(distance == nearest, row, BLOCK), axis=0)
+        k += 1
+    place = tl.arange(0, PLACES)
+    tl.store(index + centre * num + place, filler.to(tl.int64), mask=(place >= k) & (place < num))

@@ -145,17 +145,14 @@ def _first(
 
 @torch.library.custom_op("torchgrasp::farthest_point_sample", mutates_args=())
 def _farthest_op(xyz: Tensor, first: Tensor | None, mask: Tensor | None, num: int) -> Tensor:
-    first = dense.outermost_point(xyz, mask) if first is None else first
-    if (kernels := cuda_kernels(xyz)) is not None:
-        return kernels.farthest_point_sample(xyz, first, mask, num)
-    return dense.farthest_point_sample(xyz, first, mask, num)
+    kernels = cuda_kernels(xyz) or dense
+    return kernels.farthest_point_sample(xyz, first, mask, num)
 
 
 @torch.library.custom_op("torchgrasp::ball_query", mutates_args=())
 def _ball_op(xyz: Tensor, centres: Tensor, mask: Tensor | None, radius: float, num: int) -> Tensor:
-    if (kernels := cuda_kernels(xyz)) is not None:
-        return kernels.ball_query(xyz, centres, mask, radius, num)
-    return dense.ball_query(xyz, centres, mask, radius, num)
+    kernels = cuda_kernels(xyz) or dense
+    return kernels.ball_query(xyz, centres, mask, radius, num)
 
 
 @_farthest_op.register_fake
