@@ -14,6 +14,7 @@ from benchmark_schema import Benchmark
 from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
+from learner_updates import benchmark_learner
 from omegaconf import DictConfig
 from preparation_time import benchmark_preparation
 from replay_buffer import benchmark_replay
@@ -33,6 +34,7 @@ _SUITES = {
     "replay": benchmark_replay,
     "encoder": benchmark_encoder,
     "update": benchmark_update,
+    "learner": benchmark_learner,
     "training": benchmark_training,
 }
 # Those that step the environment of this configuration.

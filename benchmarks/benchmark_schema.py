@@ -17,6 +17,17 @@ class Clouds(OpenSection):
     threads: Positive
 
 
+class Learner(OpenSection):
+    """Of the suite `learner`."""
+
+    experiments: list[str]
+    ways: list[str]
+    overrides: list[str]
+    transitions: Positive
+    repeats: Positive
+    profile: list[str]
+
+
 class Training(OpenSection):
     """Of the suite `training`."""
 
@@ -44,6 +55,7 @@ class Benchmark(OpenSection):
     transitions: Positive
     draws: Positive
     clouds: Clouds
+    learner: Learner
     training: Training
     env: Env
     collector: Workers

@@ -28,19 +28,37 @@ _CONTROL_POINTS = (
     (0.0, 0.053, 0.105),
     (0.0, -0.053, 0.105),
 )
+_KEPT: dict[tuple[torch.dtype, torch.device], Tensor] = {}
 
 
 def gripper_control_points(
     *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
 ) -> Tensor:
     """X_g of Eq. (2), (6, 3) in metres, ee frame: palm twice, finger bases, finger tips."""
-    return torch.tensor(_CONTROL_POINTS, dtype=dtype, device=device)
+    if torch.device(device).type == "cpu":
+        return torch.tensor(_CONTROL_POINTS, dtype=dtype)
+    return _kept_points(dtype, torch.device(device)).clone()
+
+
+def _kept_points(dtype: torch.dtype, device: torch.device) -> Tensor:
+    """The control points there: a copy from the host waits for a GPU, and no CUDA graph can hold it."""
+    points = _KEPT.get((dtype, device))
+    if points is None:
+        points = torch.tensor(_CONTROL_POINTS, dtype=dtype, device=device)
+        if type(points) is Tensor:  # none that only stands for one while torch traces
+            _KEPT[dtype, device] = points
+    return points
+
+
+# What torch.compiler.assume_constant_result does; that would load torch's compiler here.
+setattr(_kept_points, "_dynamo_marked_constant", True)  # noqa: B010
 
 
 def make_pose(rotation: Tensor, translation: Tensor) -> Tensor:
     """(*, 3, 3) rotation and (*, 3) translation in metres to a (*, 4, 4) pose."""
     top = torch.cat((rotation, translation.unsqueeze(-1)), dim=-1)
-    bottom = top.new_tensor((0.0, 0.0, 0.0, 1.0)).expand(*top.shape[:-2], 1, 4)
+    bottom = torch.zeros_like(top[..., :1, :])
+    bottom[..., 3] = 1.0
     return torch.cat((top, bottom), dim=-2)
 
 

@@ -6,7 +6,7 @@ from tensordict import TensorDict
 from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import GoalPredictor, GraspActor, GraspCritic, PointNet
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
-from torchgrasp.training import ActorCriticLearner, ImitationLearner
+from torchgrasp.training import Acceleration, ActorCriticLearner, ImitationLearner
 
 
 def small_encoder(in_channels: int) -> PointNet:
@@ -33,18 +33,24 @@ def make_imitation_learner(*, goal_input: bool = False, seed: int = 0) -> Imitat
     )
 
 
-def make_actor_critic(*, policy_delay: int = 2, seed: int = 0) -> ActorCriticLearner:
+def make_actor_critic(
+    *, policy_delay: int = 2, seed: int = 0, acceleration: Acceleration | None = None
+) -> ActorCriticLearner:
     torch.manual_seed(seed)
+    acceleration = acceleration or Acceleration()
     networks = {"actor": GraspActor(small_encoder), "critic": GraspCritic(small_encoder)}
+    networks = {name: each.to(acceleration.device) for name, each in networks.items()}
     loss = GraspTD3BCLoss(networks["actor"], networks["critic"], action_bound=ACTION_BOUND)
+    loss = loss.to(acceleration.device)
     loss.make_value_estimator(gamma=0.9)
     return ActorCriticLearner(
         networks,
         loss=loss,
         targets=StaggeredTargetUpdate(loss, tau=0.5, period=3),
         imitation=PoseBCLoss(networks["actor"]),
-        optimizers=make_optimizers(networks),
+        optimizers={name: acceleration.make_adam(each.parameters()) for name, each in networks.items()},
         policy_delay=policy_delay,
+        acceleration=acceleration,
     )
 
 

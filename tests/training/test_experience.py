@@ -1,11 +1,15 @@
 """What a run learns from: shares of demonstrations and of its own episodes, labels, priorities, memory."""
 
+import copy
+
 import pytest
+import torch
 
 from tests.data.rollouts import append, make_episodes
 from torchgrasp.data import CompactTransitions, DemonstrationSource, Priority, open_demonstrations
 from torchgrasp.errors import ConfigError
 from torchgrasp.training import Experience
+from torchgrasp.transforms import RandomMirror
 
 
 @pytest.fixture
@@ -119,3 +123,62 @@ def test_demonstrations_that_teach_nothing_or_are_of_another_shape_are_refused(f
     other = Experience("online", row=row, codec=codec, capacity=5, batch_size=4, own_share=0.5, seed=0)
     with pytest.raises(ConfigError, match=r"hold 'points' of shape \(8, 3\), \(14, 3\) is wanted"):
         other.make_buffer([source(folder)])
+
+
+def make_filled(folder, **options) -> Experience:
+    experience = make_experience(**options)
+    experience.make_buffer([source(folder)])
+    experience.load_demonstrations()
+    for episode in make_episodes(7):
+        experience.add(episode)
+    experience.draw_all()
+    return experience
+
+
+def assert_same(batches, others):
+    for batch, other in zip(batches, others, strict=True):
+        assert set(batch.keys(True, True)) == set(other.keys(True, True))
+        assert bool((batch == other).all())
+
+
+def test_batches_drawn_ahead_are_those_drawn_on_demand(folder):
+    plain, ahead = (make_filled(folder, ahead=depth, augment=RandomMirror()) for depth in (0, 2))
+    torch.manual_seed(0)  # of the mirrors
+    expected = [*plain.batches(3), *(plain.sample() for _ in range(2)), *plain.batches(2, 4)]
+    torch.manual_seed(0)
+    assert_same([*ahead.batches(5), *ahead.batches(2, 4)], expected)
+
+
+@pytest.mark.parametrize("ahead", [0, 2])
+def test_a_state_knows_nothing_of_batches_that_nobody_has_taken(folder, ahead):
+    whole, first, second = (make_filled(folder, ahead=ahead) for _ in range(3))
+    batches = first.batches(6)
+    taken = [next(batches) for _ in range(2)]
+    second.load_state_dict(copy.deepcopy(first.state_dict()))
+    expected = [*whole.batches(6)]
+    assert_same([*taken, *batches], expected)  # the state was taken in between
+    assert_same([*second.batches(4)], expected[2:])
+
+
+def test_what_is_added_or_shared_anew_counts_from_the_next_batch_on(folder):
+    plain, ahead = (make_filled(folder, ahead=depth) for depth in (0, 2))
+    found = {}
+    for name, experience in (("plain", plain), ("ahead", ahead)):
+        batches = experience.batches(9)
+        found[name] = [next(batches) for _ in range(3)]
+        for episode in make_episodes(8):
+            experience.add(episode)
+        found[name] += [next(batches) for _ in range(3)]
+        experience.draw_demonstrations()
+        found[name] += [*batches]
+    assert_same(found["ahead"], found["plain"])
+    assert (found["ahead"][-1]["source"] == 1).all()
+
+
+def test_with_a_priority_nothing_is_drawn_ahead(folder):
+    experience = make_filled(folder, ahead=2, priority=Priority())
+    for batch in experience.batches(2):
+        batch["td_error"] = torch.rand(len(batch))
+        experience.update_priorities(batch)
+        assert "priority_weight" in batch
+    assert experience._drawing is None

@@ -39,5 +39,6 @@ from torchgrasp.config.schema import Pendulum as Pendulum
 from torchgrasp.config.trained_policy import load_policy as load_policy
 from torchgrasp.config.trained_policy import make_env as make_env
 from torchgrasp.config.training_checks import check_training as check_training
+from torchgrasp.config.transition_storage import make_experience as make_experience
 from torchgrasp.config.transition_storage import make_row as make_row
 from torchgrasp.config.value_checks import check_values as check_values

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
-from torch.optim import Adam
 
 from torchgrasp import keys
+from torchgrasp.config.acceleration_choice import make_acceleration
 from torchgrasp.config.environments import make_actions
 from torchgrasp.config.networks import begin_networks, make_networks
 from torchgrasp.config.parts import build
@@ -32,7 +32,7 @@ def make_imitation_learner(cfg: DictConfig) -> ImitationLearner:
     """Actor, and goal network where the actor reads goals, at their first weights or those of `init`."""
     networks = _first_networks(cfg, critic=False)
     imitation = _make_imitation(cfg, networks, *_distances(cfg.loss))
-    return ImitationLearner(networks, **imitation, optimizers=_make_optimizers(networks))
+    return ImitationLearner(networks, **imitation, **_make_optimizers(cfg, networks))
 
 
 def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
@@ -45,7 +45,7 @@ def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
         loss=loss,
         targets=StaggeredTargetUpdate(loss, tau=cfg.online.tau, period=cfg.online.period),
         **_make_imitation(cfg, networks, loss.distance, loss.goal_distance),
-        optimizers=_make_optimizers(networks),
+        **_make_optimizers(cfg, networks),
         policy_delay=cfg.online.policy_delay,
     )
 
@@ -65,8 +65,11 @@ def _first_networks(cfg: DictConfig, *, critic: bool) -> dict[str, TensorDictMod
     return networks
 
 
-def _make_optimizers(networks: Mapping[str, TensorDictModuleBase]) -> dict[str, Adam]:
-    return {name: Adam(each.parameters()) for name, each in networks.items()}
+def _make_optimizers(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) -> dict[str, Any]:
+    """How the updates are run, and an optimizer of each network for that, by argument of the learner."""
+    acceleration = make_acceleration(cfg)
+    optimizers = {name: acceleration.make_adam(each.parameters()) for name, each in networks.items()}
+    return {"acceleration": acceleration, "optimizers": optimizers}
 
 
 def _make_imitation(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from typing import Any
 
 from omegaconf import DictConfig
@@ -111,14 +111,18 @@ class Run(RunState[LearnerT]):
         pretrain, every = self.cfg.pretrain, self.cfg.checkpoint.steps
         if pretrain.steps:
             self.experience.draw_demonstrations()
-        with Progress(
-            pretrain.steps, initial=self.pretrain_steps, description="imitation", unit="update"
-        ) as progress:
+        batches = self.experience.batches(pretrain.steps - self.pretrain_steps, pretrain.batch_size)
+        with (
+            closing(batches),
+            Progress(
+                pretrain.steps, initial=self.pretrain_steps, description="imitation", unit="update"
+            ) as progress,
+        ):
             while self.pretrain_steps < pretrain.steps:
                 check()
                 self.learner.set_rate(pretrain.learning_rate * self._imitation_rate(self.pretrain_steps))
                 with self.stopwatch.part("updates"):
-                    yield self.experience.sample(pretrain.batch_size)
+                    yield next(batches)
                 self.stopwatch.count("updates", 1)
                 self.pretrain_steps += 1
                 self.gradient_steps += 1
@@ -178,11 +182,12 @@ class Run(RunState[LearnerT]):
     def batches(self) -> Iterator[TensorDictBase]:
         """This iteration's batches that are to come: `online.updates`, or the last ones of an offline run."""
         number = self._phase.updates_ahead(self.iteration)
-        with self.stopwatch.part("updates"):
+        batches = self.experience.batches(number - self.updates_in_iteration)
+        with self.stopwatch.part("updates"), closing(batches):
             while self.updates_in_iteration < number:
                 check()
                 self.gradient_steps += 1
-                yield self.experience.sample()
+                yield next(batches)
                 self.updates_in_iteration += 1
                 self.stopwatch.count("updates", 1)
 
@@ -215,4 +220,6 @@ class Run(RunState[LearnerT]):
             self.checkpoint()
 
     def _log_terms(self, **more: float) -> None:
-        self.log.log(self.gradient_steps, {**self.learner.fetch_terms(), **more, **self.stopwatch.measure()})
+        with self.stopwatch.part("updates"):  # a GPU may have them still to do
+            terms = self.learner.fetch_terms()
+        self.log.log(self.gradient_steps, {**terms, **more, **self.stopwatch.measure()})

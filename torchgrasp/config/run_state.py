@@ -121,7 +121,7 @@ class RunState(Generic[LearnerT]):
         return {
             "learner": self.learner.state_dict(),
             "noise": self.noise.state_dict(),
-            "buffer": self.experience.buffer.state_dict(),
+            "buffer": self.experience.state_dict(),
             "random": get_rng_state(),
             "progress": {
                 **{name: getattr(self, name) for name in _COUNTERS},
@@ -135,7 +135,7 @@ class RunState(Generic[LearnerT]):
         try:
             self.learner.load_state_dict(state["learner"])
             self.noise.load_state_dict(state["noise"])
-            self.experience.buffer.load_state_dict(state["buffer"])
+            self.experience.load_state_dict(state["buffer"])
             set_rng_state(state["random"])
             progress = state["progress"]
             for name in _COUNTERS:

@@ -22,6 +22,7 @@ from torchgrasp.config.value_types import (
     Share,
     Shares,
     Switch,
+    SwitchOrAuto,
     Updates,
     Workers,
     Worlds,
@@ -173,6 +174,8 @@ class Training(Section):
     seed: Seed
     num_points: Points
     device: Device
+    compile: Literal["default", "reduce-overhead"] | None = None
+    cudagraphs: SwitchOrAuto = "auto"
     resume: FilePath | None
     init: FilePath | None
     output_dir: FilePath

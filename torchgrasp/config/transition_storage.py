@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import torch
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -19,6 +20,9 @@ from torchgrasp.data.buffer_memory import check_space, count_row_bytes
 from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.geometry import GOAL_SIZE
 from torchgrasp.training import Experience
+
+# Batches that are ready for a GPU: one while the other is learned from.
+_AHEAD = 2
 
 
 def make_experience(
@@ -58,6 +62,7 @@ def make_experience(
         priority=priority,
         folder=folder,
         device=cfg.device,
+        ahead=_AHEAD if torch.device(cfg.device).type == "cuda" else 0,
     )
 
 

@@ -36,6 +36,10 @@ def _switch(value: Any) -> bool:
     return value
 
 
+def _switch_or_auto(value: Any) -> bool | str:
+    return value if value == "auto" else _switch(value)
+
+
 def _shares(value: Any) -> list[float]:
     shares: list[Any] = list(value) if isinstance(value, list | tuple) else [None]
     numbers = [each for each in shares if type(each) in (int, float) and 0.0 <= each <= 1.0]
@@ -110,6 +114,7 @@ NotNegative = Annotated[float, between(0.0, float("inf"))]
 # A factor of 0 would end learning at the first milestone without a word.
 Factor = Annotated[float, between(0.0, 1.0, open_low=True)]
 Switch = Annotated[bool, checked(_switch)]
+SwitchOrAuto = Annotated[bool | str, checked(_switch_or_auto)]
 Shares = Annotated[list[float], checked(_shares)]
 Device = Annotated[str, checked(_device)]
 FilePath = Annotated[str, checked(_path)]

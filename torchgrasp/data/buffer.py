@@ -123,6 +123,26 @@ class MixtureReplayBuffer(StateFiles, TensorDictReplayBuffer):
         """Add `rows` (R) that the codec has encoded, such as a demonstration file's."""
         return self._extend(self._tag(rows, source))
 
+    @property
+    def generator(self) -> torch.Generator:
+        """Of the draws; another one after a state was loaded."""
+        return cast(torch.Generator, self._rng)
+
+    def draw_rows(self, batch_size: int | None = None) -> TensorDictBase:
+        """Encoded rows (B), of which `decode_rows` makes the batch that `sample` would have given.
+
+        They are small, and may be decoded later and on another device.
+        """
+        size = cast(int, self._batch_size if batch_size is None else batch_size)
+        with self._replay_lock, self._write_lock:
+            index, info = self._sampler.sample(self._storage, size)
+            rows = cast(MixtureStorage, self._storage).get(index)
+        return rows.update({"index": index, **info})
+
+    def decode_rows(self, rows: TensorDictBase) -> TensorDictBase:
+        """Rows (B) of `draw_rows`, on any device, as a batch (B) there: decoded, and transformed."""
+        return self._transform(rows)
+
     def update_tensordict_priority(self, data: TensorDictBase) -> None:
         """Take up the errors (B) or (B, *), the largest of each row, that a loss wrote into a sampled batch.
 

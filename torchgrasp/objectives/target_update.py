@@ -56,16 +56,24 @@ class StaggeredTargetUpdate(TargetNetUpdater):
         for pair in ((loss.actor_network_params, loss.target_actor_network_params), followed, *copied):
             _blend(*pair, 1.0)
 
-    @torch.no_grad()
     def step(self) -> None:
         """Follow with the soft targets and, every `period` calls, copy into the others."""
-        self.counter += 1
+        self.follow()
+        self.count()
+
+    @torch.no_grad()
+    def follow(self) -> None:
+        """The first half of a step: the soft targets follow. It does the same at every call."""
         loss = self.loss_module
         _blend(loss.actor_network_params, loss.target_actor_network_params, self.tau)
-        followed, copied = _critic_targets(loss)
-        _blend(*followed, self.tau)
+        _blend(*_critic_targets(loss)[0], self.tau)
+
+    @torch.no_grad()
+    def count(self) -> None:
+        """The second half: counts it and, every `period` calls, copies into the other targets."""
+        self.counter += 1
         if self.counter % self.period == 0:
-            for pair in copied:
+            for pair in _critic_targets(self.loss_module)[1]:
                 _blend(*pair, 1.0)
 
 

@@ -3,6 +3,7 @@
 No simulator is loaded here, and nothing here runs or scores episodes: who does hands them in.
 """
 
+from torchgrasp.training.acceleration import Acceleration as Acceleration
 from torchgrasp.training.actor_critic import ActorCriticLearner as ActorCriticLearner
 from torchgrasp.training.experience import Experience as Experience
 from torchgrasp.training.imitation import ImitationLearner as ImitationLearner

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch.optim import Optimizer
 
 from torchgrasp.errors import check_whole
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
+from torchgrasp.training.acceleration import Acceleration
 from torchgrasp.training.imitation import ImitationLearner
 
 
@@ -27,6 +28,7 @@ class ActorCriticLearner(ImitationLearner):
         optimizers: one for each network, under its name.
         policy_delay: critic updates an actor update (Sec. 6.4: 2).
         grasp_prediction: of the goal network, where there is one.
+        acceleration: how updates are run; as they are by default.
     """
 
     def __init__(
@@ -39,13 +41,25 @@ class ActorCriticLearner(ImitationLearner):
         optimizers: Mapping[str, Optimizer],
         policy_delay: int = 2,
         grasp_prediction: GoalAuxLoss | None = None,
+        acceleration: Acceleration | None = None,
     ) -> None:
-        super().__init__(
-            networks, imitation=imitation, optimizers=optimizers, grasp_prediction=grasp_prediction
-        )
         check_whole("policy_delay", policy_delay, 1)
         self.loss, self.targets, self.policy_delay = loss, targets, policy_delay
         self.critic_updates = 0
+        super().__init__(
+            networks,
+            imitation=imitation,
+            optimizers=optimizers,
+            grasp_prediction=grasp_prediction,
+            acceleration=acceleration,
+        )
+
+    def _wrap_updates(self) -> None:
+        super()._wrap_updates()
+        noise = self.loss.smoothing.generator
+        generators = () if noise is None else (noise,)
+        self._critic_update = self.acceleration.wrap(self._learn_values, generators)
+        self._actor_update = self.acceleration.wrap(self._improve)
 
     @property
     def actor_is_due(self) -> bool:
@@ -58,14 +72,31 @@ class ActorCriticLearner(ImitationLearner):
 
     def update_critic(self, batch: TensorDictBase) -> None:
         """One update after Eq. (3) on a batch (B), which gets a `td_error`, and the targets' step."""
-        self._descend("critic", self.loss.critic_loss(batch))
-        self.targets.step()
+        out = self._critic_update(batch)
+        batch.set(self._error_key, out.get("errors"))
+        self._note(out.exclude("errors"))
+        self.targets.count()
         self.critic_updates += 1
 
     def update_actor(self, batch: TensorDictBase) -> None:
         """One update after Eq. (4) on a batch (B), and one of the goal network where there is one."""
-        self._descend("actor", self.loss.actor_loss(batch))
-        self._update_goal_network(batch)
+        self._note(self._actor_update(batch))
+
+    @property
+    def _error_key(self) -> Any:
+        """Where the critic's loss writes its errors."""
+        accepted: Any = self.loss.tensor_keys
+        return accepted.priority
+
+    def _learn_values(self, batch: TensorDictBase) -> TensorDictBase:
+        """The terms of the critic, and the `errors` (B) that its loss writes into the batch."""
+        terms = self._descend("critic", self.loss.critic_loss(batch))
+        self.targets.follow()
+        return TensorDict({"critic": terms, "errors": batch.get(self._error_key)})
+
+    def _improve(self, batch: TensorDictBase) -> TensorDictBase:
+        terms = self._descend("actor", self.loss.actor_loss(batch))
+        return TensorDict({"actor": terms, **self._predict_grasps(batch)})
 
     def state_dict(self) -> dict[str, Any]:
         """Networks, optimizers, targets and the count of critic updates."""

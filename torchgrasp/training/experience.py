@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from torchgrasp.data import (
@@ -18,6 +20,7 @@ from torchgrasp.data import (
 from torchgrasp.data.demonstration_kinds import COUNTED
 from torchgrasp.data.demonstration_sources import DemonstrationSource, check_rows
 from torchgrasp.data.demonstrations import Demonstrations
+from torchgrasp.data.drawn_ahead import DrawnAhead
 from torchgrasp.data.shares import share_batch
 from torchgrasp.errors import ConfigError
 
@@ -40,6 +43,10 @@ class Experience:
         priority: None draws uniformly within a source.
         folder: keeps the transitions on disk there.
         device: that batches are moved to.
+        ahead: batches of `batches` whose rows a thread draws ahead, in pinned memory where the device is a
+            CUDA device, and which are decoded and augmented on the device. 0 draws each when it is asked for;
+            so does a priority, which follows from the batch before, and an augmentation that has tensors of
+            its own elsewhere. The draws are the same.
     """
 
     def __init__(
@@ -56,10 +63,14 @@ class Experience:
         priority: Priority | None = None,
         folder: str | None = None,
         device: torch.device | str = "cpu",
+        ahead: int = 0,
     ) -> None:
         self.own, self.codec, self.row, self.priority = own, codec, row, priority
         self._capacity, self._batch_size, self._own_share = capacity, batch_size, own_share
-        self._seed, self._augment, self._folder, self._device = seed, augment, folder, device
+        self._seed, self._augment, self._folder = seed, augment, folder
+        at_once = priority is not None or (augment is not None and any(True for _ in augment.buffers()))
+        self._device, self._ahead = torch.device(device), 0 if at_once else ahead
+        self._drawing: DrawnAhead[TensorDictBase] | None = None
         self.buffer: MixtureReplayBuffer
         self._sources: list[DemonstrationSource] = []
         self._opened: dict[str, Demonstrations] = {}
@@ -107,20 +118,63 @@ class Experience:
 
     def add(self, steps: TensorDictBase) -> None:
         """Add an episode's steps (T) to the run's own."""
+        self._pause()
         self.buffer.extend(steps[None], source=self.own)
 
     def draw_demonstrations(self) -> None:
         """From the next batch on, draw from demonstrations with labels alone."""
-        self.buffer.set_shares(share_batch(self.own, 0.0, self._weigh(labelled=True)))
+        self._set_shares(0.0, labelled=True)
 
     def draw_all(self, *, labelled: bool = False) -> None:
         """From the next batch on, draw from own episodes too; on demand from labelled sources alone."""
-        own_share = self._own_share if self._capacity else 0.0
+        self._set_shares(self._own_share if self._capacity else 0.0, labelled=labelled)
+
+    def _set_shares(self, own_share: float, *, labelled: bool) -> None:
+        self._pause()
         self.buffer.set_shares(share_batch(self.own, own_share, self._weigh(labelled=labelled)))
 
     def sample(self, batch_size: int | None = None) -> TensorDictBase:
         """A batch (B) on the device; as many as the buffer's own batches have by default."""
+        self._pause()
         return self.buffer.sample(batch_size).to(self._device)
+
+    def batches(self, count: int, batch_size: int | None = None) -> Generator[TensorDictBase, None, None]:
+        """`count` batches (B) on the device, the same as of so many calls of `sample`; to be closed.
+
+        Transforms of sampled batches are applied where a batch is handed out, in this thread.
+        """
+        if not self._ahead:
+            for _ in range(count):
+                yield self.sample(batch_size)
+            return
+        self._pause()
+        self._drawing = DrawnAhead(
+            lambda: self._draw_rows(batch_size), self.buffer.generator, count=count, depth=self._ahead
+        )
+        try:
+            for rows in self._drawing:
+                yield self.buffer.decode_rows(_move(rows, self._device))
+        finally:
+            self._pause()
+            self._drawing = None
+
+    def _draw_rows(self, batch_size: int | None) -> TensorDictBase:
+        rows = self.buffer.draw_rows(batch_size)
+        return cast(TensorDictBase, rows.apply(Tensor.pin_memory)) if self._device.type == "cuda" else rows
+
+    def _pause(self) -> None:
+        """Before anything that changes or saves what is drawn."""
+        if self._drawing is not None:
+            self._drawing.pause()
+
+    def state_dict(self) -> dict[str, Any]:
+        """The buffer's, as if no batch had been drawn ahead."""
+        self._pause()
+        return self.buffer.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Take up what `state_dict` gave, before any batch is drawn."""
+        self.buffer.load_state_dict(state)
 
     def update_priorities(self, batch: TensorDictBase) -> None:
         """Draw a batch (B) by its `td_error` from now on, where there is a priority."""
@@ -137,3 +191,8 @@ class Experience:
         first, *others = cards
         more = {"more_demonstrations": {name: cards[name] for name in others}} if others else {}
         return {"demonstrations": cards[first], **more}
+
+
+def _move(rows: TensorDictBase, device: torch.device) -> TensorDictBase:
+    """Rows (B) on the device, without waiting for it."""
+    return cast(TensorDictBase, rows.apply(lambda each: each.to(device, non_blocking=True), device=device))

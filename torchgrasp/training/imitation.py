@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torch.optim import Optimizer
 
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss
+from torchgrasp.training.acceleration import Acceleration, get_optimizer_state, load_optimizer_state
 from torchgrasp.training.loss_terms import MeanTerms
 
 
@@ -25,6 +26,7 @@ class ImitationLearner:
         imitation: of the actor.
         optimizers: one for each network, under its name.
         grasp_prediction: of the goal network, where there is one (Table 5, Goal-Conditioned).
+        acceleration: how updates are run; as they are by default. Its `make_adam` makes optimizers for it.
 
     Example:
         >>> from torchgrasp.modules import GraspActor, PointNet
@@ -47,10 +49,17 @@ class ImitationLearner:
         imitation: PoseBCLoss,
         optimizers: Mapping[str, Optimizer],
         grasp_prediction: GoalAuxLoss | None = None,
+        acceleration: Acceleration | None = None,
     ) -> None:
         self.networks, self.optimizers = dict(networks), dict(optimizers)
         self.imitation, self.grasp_prediction = imitation, grasp_prediction
+        self.acceleration = acceleration or Acceleration()
         self._terms = MeanTerms()
+        self._wrap_updates()
+
+    def _wrap_updates(self) -> None:
+        """Run the updates as `acceleration` says, on the tensors that are there now."""
+        self._imitation_update = self.acceleration.wrap(self._imitate)
 
     @property
     def actor(self) -> TensorDictModuleBase:
@@ -66,12 +75,19 @@ class ImitationLearner:
         """Give every optimizer this learning rate."""
         for optimizer in self.optimizers.values():
             for group in optimizer.param_groups:
-                group["lr"] = rate
+                if isinstance(group["lr"], Tensor):
+                    group["lr"].fill_(rate)
+                else:
+                    group["lr"] = rate
 
     def imitate(self, batch: TensorDictBase) -> None:
         """One update of L_BC and L_AUX on a batch (B), and one of the goal network where there is one."""
-        self._descend("actor", self.imitation(batch))
-        self._update_goal_network(batch)
+        self._note(self._imitation_update(batch))
+
+    def _imitate(self, batch: TensorDictBase) -> TensorDictBase:
+        return TensorDict(
+            {"actor": self._descend("actor", self.imitation(batch)), **self._predict_grasps(batch)}
+        )
 
     def fetch_terms(self) -> dict[str, float]:
         """Means of all loss terms over the updates since the last call, by ``<network>/<term>``."""
@@ -82,7 +98,7 @@ class ImitationLearner:
         return {
             "terms": self._terms.state_dict(),
             "networks": {name: each.state_dict() for name, each in self.networks.items()},
-            "optimizers": {name: each.state_dict() for name, each in self.optimizers.items()},
+            "optimizers": {name: get_optimizer_state(each) for name, each in self.optimizers.items()},
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
@@ -90,22 +106,29 @@ class ImitationLearner:
         self._terms.load_state_dict(state["terms"])
         for name, network in self.networks.items():
             network.load_state_dict(state["networks"][name])
-            self.optimizers[name].load_state_dict(state["optimizers"][name])
+            load_optimizer_state(self.optimizers[name], state["optimizers"][name])
             _check_optimizer(self.optimizers[name])
+        self._wrap_updates()
 
-    def _update_goal_network(self, batch: TensorDictBase) -> None:
-        """Grasp prediction alone, on the labels."""
-        if self.grasp_prediction is not None:
-            self._descend("goal_network", self.grasp_prediction(batch))
+    def _predict_grasps(self, batch: TensorDictBase) -> dict[str, TensorDictBase]:
+        """An update of grasp prediction alone, on the labels, and its terms; none without a goal network."""
+        if self.grasp_prediction is None:
+            return {}
+        return {"goal_network": self._descend("goal_network", self.grasp_prediction(batch))}
 
-    def _descend(self, name: str, terms: TensorDictBase) -> None:
-        """One step of a network's optimizer down the sum of its losses."""
+    def _descend(self, name: str, terms: TensorDictBase) -> TensorDictBase:
+        """One step of a network's optimizer down the sum of its losses; returns the terms."""
         optimizer = self.optimizers[name]
         optimizer.zero_grad(set_to_none=True)
         losses = [value for key, value in terms.items() if str(key).startswith("loss_")]
         torch.stack(losses).sum().backward()
         optimizer.step()
-        self._terms.add(name, terms)
+        return terms.detach()
+
+    def _note(self, terms: TensorDictBase) -> None:
+        """Keep the terms that an update gave, by network."""
+        for name, each in terms.items():
+            self._terms.add(str(name), cast(TensorDictBase, each))
 
 
 def _check_optimizer(optimizer: Optimizer) -> None:

@@ -59,7 +59,7 @@ class RandomMirror(Transform):
                 "RandomMirror out, as for policies that see images."
             )
         draws = torch.randint(0, 2, (*tensordict.batch_size, 2), generator=self._generator)
-        sx, sy = (2.0 * draws - 1.0).to(tensordict.device).unbind(-1)
+        sx, sy = (2.0 * draws - 1.0).to(tensordict.device, non_blocking=True).unbind(-1)
         one = torch.ones_like(sx)
         # S R S for S = diag(sx, sy, 1): a turn about an axis keeps its sense or loses it.
         position, turn = (sx, sy, one), (sy, sx, sx * sy)
