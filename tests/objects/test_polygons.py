@@ -63,7 +63,7 @@ def write_bar(path):
     path.write_text("\n".join(text) + "\n")
 
 
-@pytest.mark.parametrize("suffix", ["obj", "ply"])
+@pytest.mark.parametrize("suffix", ["obj", "off", "ply"])
 def test_files_of_concave_faces_have_the_right_surface(tmp_path, suffix):
     write_bar(tmp_path / f"bar.{suffix}")
     mesh = read_triangles(tmp_path / f"bar.{suffix}")

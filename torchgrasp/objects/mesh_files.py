@@ -18,7 +18,7 @@ import trimesh
 
 from torchgrasp.errors import ObjectError
 from torchgrasp.objects.glb import prepare_glb
-from torchgrasp.objects.polygons import triangulate_concave
+from torchgrasp.objects.polygons import read_off, triangulate_concave
 
 MAX_BYTES = 500_000_000
 MAX_TRIANGLES = 5_000_000
@@ -83,7 +83,10 @@ def _parse(path: Path, data: bytes) -> trimesh.Trimesh:
         _check_ply(path, data)
     options: dict[str, Any] = {"skip_materials": True} if suffix in _WITH_MATERIALS else {}
     with _silence():
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False, **options)
+        if suffix == ".off":
+            scene = trimesh.Scene(read_off(data))
+        else:
+            scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False, **options)
         _check_scene(path, scene)
         return triangulate_concave(data, suffix, scene) or scene.to_mesh()
 

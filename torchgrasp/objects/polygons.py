@@ -25,13 +25,35 @@ def triangulate_concave(data: bytes, suffix: str, scene: trimesh.Scene) -> trime
         suffix: of its name, in lower case.
         scene: what the reader made of it.
     """
-    read = {".obj": _read_obj, ".off": _read_off, ".ply": _read_ply}.get(suffix)
+    read = {".obj": _read_obj, ".ply": _read_ply}.get(suffix)
     found = read(data, scene) if read is not None else None
     if found is None:
         return None
     vertices, polygons, resolved = found
     if resolved and not _has_concave(vertices, polygons):
         return None
+    return _triangulated(vertices, polygons)
+
+
+def read_off(data: bytes) -> trimesh.Trimesh:
+    """The mesh of an OFF file; trimesh's reader fails at faces of five corners and more beside NumPy 2.4."""
+    text = re.sub(r"#[^\n]*", "", data.decode(errors="replace")).partition("OFF")[2]
+    lines = [line.split() for line in text.splitlines() if line.strip()]
+    if not lines:
+        raise ValueError("there is no OFF heading, or nothing behind it")
+    num_vertices, num_faces = int(lines[0][0]), int(lines[0][1])
+    if min(num_vertices, num_faces) < 0 or num_vertices + num_faces > len(lines) - 1:
+        raise ValueError(f"{num_vertices} vertices and {num_faces} faces in {len(lines) - 1} lines")
+    corners = [[float(word) for word in line[:3]] for line in lines[1 : num_vertices + 1]]
+    rows = lines[num_vertices + 1 : num_vertices + num_faces + 1]
+    polygons = [[int(word) for word in row[1 : int(row[0]) + 1]] for row in rows]
+    if any(len(each) < int(row[0]) for each, row in zip(polygons, rows, strict=True)):
+        raise ValueError("a face has fewer corners than it announces")
+    _check_corners(num_vertices, polygons)
+    return _triangulated(np.asarray(corners, np.float64).reshape(-1, 3), polygons)
+
+
+def _triangulated(vertices: Points, polygons: list[list[int]]) -> trimesh.Trimesh:
     faces = [triangle for each in polygons for triangle in triangulate(vertices, each)]
     return trimesh.Trimesh(vertices, np.array(faces, np.int64).reshape(-1, 3), process=False)
 
@@ -60,16 +82,6 @@ def _read_obj(data: bytes, scene: trimesh.Scene) -> _Found | None:
     return _checked(corners, polygons, resolved)
 
 
-def _read_off(data: bytes, scene: trimesh.Scene) -> _Found | None:
-    text = re.sub(r"#[^\n]*", "", data.decode(errors="replace")).partition("OFF")[2]
-    lines = [line.split() for line in text.splitlines() if line.strip()]
-    num_vertices, num_faces = int(lines[0][0]), int(lines[0][1])
-    corners = [[float(word) for word in line[:3]] for line in lines[1 : num_vertices + 1]]
-    rows = lines[num_vertices + 1 : num_vertices + num_faces + 1]
-    polygons = [[int(word) for word in row[1 : int(row[0]) + 1]] for row in rows]
-    return _checked(corners, polygons, True)
-
-
 def _read_ply(data: bytes, scene: trimesh.Scene) -> _Found | None:
     raw = next(iter(scene.geometry.values())).metadata.get("_ply_raw", {})
     faces = raw.get("face", {}).get("data")
@@ -89,11 +101,15 @@ def _checked(
     corners: Sequence[Sequence[float]] | Points, polygons: list[list[int]], resolved: bool
 ) -> _Found | None:
     """None where no face has more than three corners; ValueError for corners that do not exist."""
-    if any(not 0 <= corner < len(corners) for each in polygons for corner in each):
-        raise ValueError(f"a face has a corner beyond the {len(corners)} vertices")
+    _check_corners(len(corners), polygons)
     if resolved and all(len(each) <= 3 for each in polygons):
         return None
     return np.asarray(corners, np.float64).reshape(-1, 3), polygons, resolved
+
+
+def _check_corners(count: int, polygons: list[list[int]]) -> None:
+    if any(not 0 <= corner < count for each in polygons for corner in each):
+        raise ValueError(f"a face has a corner beyond the {count} vertices")
 
 
 def _flatten(points: Points) -> Points:
@@ -140,8 +156,7 @@ def triangulate(vertices: Points, polygon: Polygon) -> Iterator[tuple[int, int, 
         polygon: indices of its corners, in order, about in a plane. Its triangles turn the same way.
     """
     left = list(polygon)
-    flat = _flatten(vertices[left])
-    if len(left) > 3 and (_turns(flat) < -_FLAT).any():
+    if len(left) > 3 and (_turns(flat := _flatten(vertices[left])) < -_FLAT).any():
         if len(left) > _MAX_CORNERS:
             raise ValueError(f"a concave face of {len(left)} corners: triangulate it where it was made")
         while len(left) > 3 and (ear := _find_ear(flat)) is not None:
