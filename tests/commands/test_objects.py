@@ -6,6 +6,8 @@ import pytest
 import trimesh
 
 from torchgrasp.__main__ import main
+from torchgrasp.commands import object_table
+from torchgrasp.objects import packaged
 
 
 @pytest.fixture
@@ -77,3 +79,25 @@ def test_an_ascii_terminal_gets_the_table_too(meshes):
     ascii_only = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     done = subprocess.run(command, capture_output=True, env={**os.environ, **ascii_only}, timeout=120)
     assert done.returncode == 0 and b"\\u043a\\u0440\\u0443\\u0436\\u043a\\u0430 " in done.stdout
+
+
+def test_a_spoon_is_taken_by_the_finger_tips(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("TORCHGRASP_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "desk").mkdir()
+    bowl = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    bowl.apply_scale((0.028, 0.019, 0.0065))
+    bowl.apply_translation((0.085, 0, 0))
+    spoon = trimesh.util.concatenate([trimesh.creation.box((0.13, 0.012, 0.004)), bowl])
+    spoon.export(tmp_path / "desk" / "spoon.stl")
+    assert main(["objects", "folder", "--path", str(tmp_path / "desk")]) == 0
+    assert "1 of 1 objects can be grasped" in capsys.readouterr().out
+
+
+def test_a_renewed_index_keeps_the_places_of_what_could_be_grasped(tmp_path, monkeypatch):
+    for module in (object_table, packaged):
+        monkeypatch.setattr(module, "INDEX_DIR", tmp_path)
+    for pen, cup in (("lies flat", ""), ("", "")):
+        reasons = {"pen": pen, "cup": cup, "tin": "", "wall": "too wide"}
+        object_table.write_index("desk", [object_table.Row(name, "MIT", reasons[name]) for name in reasons])
+        packaged.read_index.cache_clear()
+    assert list(packaged.read_index("desk")) == ["cup", "tin", "pen", "wall"]

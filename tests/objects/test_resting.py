@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from torchgrasp.objects.resting import resting_poses
+from torchgrasp.objects.resting import nearby_rests, resting_poses
 from torchgrasp.objects.solids import box, cylinder
 
 
@@ -50,3 +50,17 @@ def test_a_top_heavy_tilted_foot_is_no_resting_pose():
     corners[:, 0] += corners[:, 2]
     poses, _ = resting_poses(corners)
     assert not (np.abs(poses[:, 2, 2]) > 0.999).any()
+
+
+def test_a_box_stays_on_its_face_and_a_pen_rolls():
+    rng = np.random.default_rng(0)
+    for solid, most in ((box((0.1, 0.06, 0.03)), 3.0), (cylinder(0.006, 0.136), 60.0)):
+        points = np.concatenate(solid.parts)
+        poses, _ = resting_poses(points)
+        rests = nearby_rests(points, poses, 10, rng)
+        assert rests.shape == (len(poses), 10, 4, 4)
+        cosine = (rests[:, :, 2, :3] * poses[:, None, 2, :3]).sum(-1)
+        turned = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+        assert turned.max() < most and (turned.max() > 5.0) == (most > 5.0)
+        placed = np.einsum("kni,vi->knv", rests[:, :, 2, :3], points) + rests[:, :, 2, 3:]
+        assert placed.min(-1) == pytest.approx(np.zeros(rests.shape[:2]), abs=1e-9)

@@ -6,12 +6,16 @@ import torch
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import pose_to_action
-from torchgrasp.objects.gripper import lowest_point
+from torchgrasp.objects.build import build_object
+from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS, lowest_point
+from torchgrasp.objects.solids import cylinder
 from torchgrasp.sim import CameraIntrinsics, Physics, Placement, RaycastCamera, Worlds
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.control import EeDelta
+from torchgrasp.sim.reach import clear_grasps, in_reach
+from torchgrasp.sim.settle import settle
 from torchgrasp.sim.tracking import track_pose
-from torchgrasp.sim.world import World
+from torchgrasp.sim.world import LIFTED, World
 
 READY = kin.READY_POSTURE
 
@@ -203,3 +207,26 @@ def test_worlds_need_an_object_first():
 def test_impossible_physics_is_refused_by_name(name, value):
     with pytest.raises(ConfigError, match=f"^{name}="):
         Physics(**{name: value})
+
+
+def test_a_pen_is_picked_up_by_the_finger_tips():
+    pen = build_object(
+        cylinder(0.006, 0.136),
+        name="pen",
+        family="pen",
+        licence="MIT",
+        num_grasps=400,
+        rng=np.random.default_rng(0),
+    )
+    held = []
+    for rest in settle(pen, Physics()):
+        pose = pose_at(0.5, 0.0, 0.0) @ rest
+        clear = clear_grasps(pen, pose)
+        if len(clear) >= MIN_CLEAR_GRASPS:
+            for q in in_reach(clear, READY, at_most=8).postures:
+                world = make_world(Physics(), pen, pose, q[0])
+                world.close_fingers()
+                for _ in world.lift():
+                    pass
+                held.append(world.T_base_object[2, 3] - pose[2, 3] > LIFTED)
+    assert len(held) >= 8 and np.mean(held) >= 0.9

@@ -17,8 +17,9 @@ from torchgrasp.objects import (
     RandomUrdfObjects,
     YcbObjects,
 )
-from torchgrasp.objects.build import BUILD_VERSION, MIN_CLEAR_GRASPS
-from torchgrasp.objects.packaged import INDEX_DIR, ObjectIndex
+from torchgrasp.objects.build import BUILD_VERSION
+from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS
+from torchgrasp.objects.packaged import INDEX_DIR, ObjectIndex, read_index
 from torchgrasp.sim import Physics, prepare_resting, settled_poses
 from torchgrasp.sim.reach import clear_grasps
 
@@ -125,7 +126,12 @@ def print_rows(rows: list[Row]) -> None:
 
 
 def write_index(kind: str, rows: list[Row]) -> None:
-    """Store which objects of a package can be grasped, beside the code that reads it."""
+    """Store which objects of a package can be grasped, beside the code that reads it.
+
+    An object that could be grasped before keeps its place; one that can be now comes after those.
+    """
+    before = [name for name, reason in read_index(kind).items() if not reason]
+    rows = sorted(rows, key=lambda row: before.index(row.name) if row.name in before else len(before))
     objects = {row.name: row.reason for row in rows}
     INDEX_DIR.mkdir(exist_ok=True)
     index = ObjectIndex(build_version=BUILD_VERSION, objects=objects)

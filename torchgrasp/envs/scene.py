@@ -11,7 +11,7 @@ import numpy as np
 from torchgrasp.envs.motion import TargetMotion
 from torchgrasp.envs.starts import Start
 from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.objects.build import MIN_CLEAR_GRASPS
+from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import ObjectSet
 from torchgrasp.sim import kinematics

@@ -20,9 +20,10 @@ from torchgrasp.errors import ConfigError, ObjectError, check_whole
 from torchgrasp.names import object_name, one_line, to_path
 from torchgrasp.objects.build import assemble
 from torchgrasp.objects.cache import cache_key
+from torchgrasp.objects.candidates import GraspCandidates
 from torchgrasp.objects.file_objects import FileObjects, Source, check_on_error
 from torchgrasp.objects.folder import choose
-from torchgrasp.objects.grasps import GraspCandidates, choose_grasps
+from torchgrasp.objects.grasps import choose_grasps
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.scales import GREATEST, LEAST
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, Split

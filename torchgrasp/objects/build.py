@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from torchgrasp.objects.grasps import GraspCandidates, sample_grasps
-from torchgrasp.objects.gripper import clear_of_table
+from torchgrasp.objects.candidates import GraspCandidates
+from torchgrasp.objects.grasps import sample_grasps
+from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS, clear_of_table
 from torchgrasp.objects.model import GraspObject, content_hash
 from torchgrasp.objects.resting import resting_poses
 from torchgrasp.objects.solids import Solid, mass_properties
 
-MIN_CLEAR_GRASPS = 8  # that a resting pose must leave clear of the table to be used
-BUILD_VERSION = 4  # part of every cache file's name: raise it when the same input gives another object
+BUILD_VERSION = 5  # part of every cache file's name: raise it when the same input gives another object
 
 
 def build_object(

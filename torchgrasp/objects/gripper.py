@@ -14,6 +14,9 @@ PAD_CENTRE = 0.10365  # z of the pads' middle
 PAD_HALF = (0.00875, 0.00925)  # half extents of a pad's face along x and z
 _FINGER = 0.0584  # z of the finger joints
 
+TABLE_CLEARANCE = 0.004  # metres of the open hand above the table at a grasp that may be taken
+MIN_CLEAR_GRASPS = 8  # that a resting pose must leave clear of the table to be used
+
 # (half extent along x, inner |y|, outer |y|, rear z, front z); fingers open at |y| = 0.04. The
 # finger's slanted middle is taken at its bounding box.
 _BOXES = (

@@ -38,7 +38,11 @@ def package_folder(package: str, extra: str) -> Path:
 
 @functools.cache
 def read_index(kind: str) -> dict[str, str]:
-    """Why an object is unusable, by name; empty text for those that are usable, nothing where unknown."""
+    """Why an object is unusable, by name; empty text for those that are usable, nothing where unknown.
+
+    Usable ones stand in the order in which sets hold them: one that became usable later comes last, so
+    that the others keep their numbers.
+    """
     file = INDEX_DIR / f"{kind}.json"
     return (
         read_document(file, ObjectIndex, "install torchgrasp again", error=ObjectError).objects
@@ -76,8 +80,7 @@ class PackagedObjects(FileObjects):
         if num_objects is not None:
             check_whole("num_objects", num_objects, 1)
         if usable_only:
-            index = read_index(kind)
-            sources = [source for source in sources if not index.get(source.name)]
+            sources = _usable(sources, read_index(kind))
         super().__init__(
             sources[:num_objects],
             concavity=concavity,
@@ -90,3 +93,10 @@ class PackagedObjects(FileObjects):
         with warnings.catch_warnings():  # nobody can mend a package's meshes: that a scan is open is known
             warnings.simplefilter("ignore")
             return super()._solid(source)
+
+
+def _usable(sources: Sequence[Source], index: dict[str, str]) -> list[Source]:
+    """The usable sources in the order of the index, those that it does not know last."""
+    place = {name: number for number, name in enumerate(index)}
+    usable = [source for source in sources if not index.get(source.name)]
+    return sorted(usable, key=lambda source: place.get(source.name, len(place)))

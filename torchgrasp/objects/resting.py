@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 _COPLANAR = np.deg2rad(2.5)
 _EQUIVALENT = np.deg2rad(40.0)  # leaves a lying cylinder with some eight rolls
+_ROUNDING = 5e-4  # metres by which an engine's hull may miss a vertex
 _MIN_TILT = 0.04  # radians that the object must be tipped before it falls over an edge
 _MIN_PROBABILITY = 0.02
 _MAX_POSES = 12
@@ -40,6 +41,41 @@ def resting_poses(points: Array) -> tuple[Array, Array]:
     keep = probability >= min(_MIN_PROBABILITY, probability.max())
     keepers, probability = keepers[keep][:_MAX_POSES], probability[keep][:_MAX_POSES]
     return _lay_down(vertices, normals[keepers]), probability / probability.sum()
+
+
+def nearby_rests(points: Array, poses: Array, count: int, rng: np.random.Generator) -> Array:
+    """Poses (K, count, 4, 4) about each of the candidates (K, 4, 4) in which physics may leave the object.
+
+    A candidate lies on the mean of nearly coplanar facets of the exact hull, but an engine rounds hulls: a
+    pen ends up to 30 degrees from where it was laid. So the object is laid on hulls that differ by as much.
+    On a broad face it stays as it is.
+
+    Args:
+        points: (N, 3) metres, all vertices of the physics parts; the centre of mass is the origin.
+        poses: (K, 4, 4) `T_world_object`.
+        count: of poses about each candidate.
+        rng: decides how the hulls differ.
+    """
+    vertices, _ = hull(points)
+    rests = []
+    for _ in range(count):
+        rounded, faces = hull(vertices + rng.uniform(-_ROUNDING, _ROUNDING, vertices.shape))
+        normals, areas = face_normals(rounded, faces)
+        normals, faces = normals[areas > 0], faces[areas > 0]
+        height = (normals * rounded[faces[:, 0]]).sum(1)
+        ends = [_bearing_facet(down, normals, height) for down in -poses[:, 2, :3]]
+        rests.append(_lay_down(vertices, normals[ends]))
+    return np.stack(rests, axis=1)
+
+
+def _bearing_facet(down: Array, normals: Array, height: Array) -> int:
+    """The facet that an object ends on for gravity along `down` (3,); the centre sinks at every turn."""
+    while True:
+        facing = normals @ down
+        facet = int(np.where(facing > 1e-9, height / np.maximum(facing, 1e-9), np.inf).argmin())
+        if facing[facet] > 1 - 1e-9:
+            return facet
+        down = normals[facet]
 
 
 def _facets(vertices: Array, faces: NDArray) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchgrasp.objects.gripper import lowest_point
+from torchgrasp.objects.gripper import TABLE_CLEARANCE, lowest_point
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
-
-TABLE_CLEARANCE = 0.004
 
 
 @dataclass(frozen=True)
