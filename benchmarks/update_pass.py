@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
+from kept_update import compare_kept
 from network_passes import Encoder, compare_encoders, make_clouds
 from omegaconf import DictConfig
 from tensordict import TensorDict
@@ -15,8 +16,12 @@ from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
 
 def benchmark_update(cfg: DictConfig) -> list[dict]:
-    """Two critic updates and one actor update after Eq. (3) and (4), targets included, by encoder."""
-    return compare_encoders(cfg, "update", make_update_pass)
+    """Two critic updates and one actor update after Eq. (3) and (4), targets included, by encoder.
+
+    Then each kind of update with frozen encoders, on clouds and on features that are kept.
+    """
+    rows = compare_encoders(cfg, "update", make_update_pass)
+    return rows + compare_kept(cfg, _make_batch(cfg.clouds.batch, cfg.clouds.points))
 
 
 def make_update_pass(make: Encoder, options: dict, device: torch.device) -> tuple[Callable[[], None], int]:

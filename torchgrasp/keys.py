@@ -29,6 +29,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | EPISODE_SUCCESS | *, 1 bool | the episode's final reward, on each of its steps |
 | GOAL_PREDICTION | *, 7 | written by actor or critic |
 | GRASP_PREDICTION | *, 7 | of each network by name, which only watches (`GraspPredictions`) |
+| FEATURES | *, F | below it by network: what a frozen encoder makes of a state (`KeepFeatures`) |
 | STATE_ACTION_VALUE | *, Q | the critic's values side by side |
 """
 
@@ -69,6 +70,7 @@ SOURCE = "source"
 EPISODE_SUCCESS = "episode_success"
 GOAL_PREDICTION = "goal_prediction"
 GRASP_PREDICTION = "grasp_prediction"
+FEATURES = "features"
 STATE_ACTION_VALUE = "state_action_value"
 
 

@@ -3,8 +3,10 @@
 import pytest
 import torch
 from encoder_pass import make_encoder_pass
+from kept_update import compare_kept
 from network_passes import make_clouds, measure_pass
-from update_pass import make_update_pass
+from omegaconf import OmegaConf
+from update_pass import _make_batch, make_update_pass
 
 OPTIONS = {"batch": 2, "points": 64, "repeats": 1, "threads": 1, "device": "cpu"}
 
@@ -17,6 +19,12 @@ def test_every_encoder_runs(make):
         assert row["seconds"] > 0
         assert row["parameters"] > 1e5
     torch.set_num_threads(threads)
+
+
+def test_updates_on_kept_features_are_the_faster():
+    cfg = OmegaConf.create({"clouds": {"threads": torch.get_num_threads(), "repeats": 1}})
+    anew, kept = compare_kept(cfg, _make_batch(32, 512))
+    assert all(anew[kind] > kept[kind] > 0 for kind in ("imitation", "critic", "actor"))
 
 
 def test_clouds_lie_on_a_box():

@@ -21,6 +21,7 @@ def test_fine_tuning_builds_no_expert_and_trains_the_heads(composed, tmp_path, t
     run_dir = find_run(tmp_path, "hindsight")
     rows = stored_rows(run_dir, "hindsight")
     assert len(rows["action"]) > 0 and not rows["has_expert"].any()
+    assert rows["features.actor"].shape[1:] == (64,)  # its critic sees the action, and is computed anew
     assert torch.equal(rows["has_goal"], rows["episode_success"])
     assert stored_rows(run_dir, "expert")["has_expert"].any()
     # The length of episodes is the policy's, not the experiment's.

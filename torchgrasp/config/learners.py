@@ -12,6 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchgrasp import keys
 from torchgrasp.config.acceleration_choice import make_acceleration
 from torchgrasp.config.environments import make_actions
+from torchgrasp.config.kept_features import keep_features
 from torchgrasp.config.networks import begin_networks, make_networks
 from torchgrasp.config.parts import build
 from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
@@ -31,20 +32,21 @@ from torchgrasp.training import ActorCriticLearner, ImitationLearner
 def make_imitation_learner(cfg: DictConfig) -> ImitationLearner:
     """Actor, and goal network where the actor reads goals, at their first weights or those of `init`."""
     networks = _first_networks(cfg, critic=False)
-    imitation = _make_imitation(cfg, networks, *_distances(cfg.loss))
+    imitation = _make_imitation(cfg, keep_features(cfg, networks).networks, *_distances(cfg.loss))
     return ImitationLearner(networks, **imitation, **_make_optimizers(cfg, networks))
 
 
 def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
     """Actor, critic, and goal network where the actor reads goals, with the losses of Eq. (3) to (5)."""
     networks = _first_networks(cfg, critic=True)
-    loss = _make_loss(cfg, networks).to(cfg.device)
+    learning = keep_features(cfg, networks).networks
+    loss = _make_loss(cfg, learning).to(cfg.device)
     loss.make_value_estimator(gamma=cfg.online.gamma)
     return ActorCriticLearner(
         networks,
         loss=loss,
         targets=StaggeredTargetUpdate(loss, tau=cfg.online.tau, period=cfg.online.period),
-        **_make_imitation(cfg, networks, loss.distance, loss.goal_distance),
+        **_make_imitation(cfg, learning, loss.distance, loss.goal_distance),
         **_make_optimizers(cfg, networks),
         policy_delay=cfg.online.policy_delay,
     )

@@ -106,6 +106,8 @@ class Replay(OpenSection):
     online_fraction: Share
     online_capacity: Positive
     folder: FilePath | None = None
+    keep_features: Any = None
+    feature_dtype: Literal["float16", "bfloat16", "float32"] = "float16"
 
 
 class Collector(OpenSection):

@@ -13,6 +13,7 @@ from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
 from torchgrasp.config.demonstration_sources import count_steps, list_demonstrations
+from torchgrasp.config.kept_features import check_augmentation, keep_features
 from torchgrasp.config.networks import check_state_inputs
 from torchgrasp.config.parts import at_place, build
 from torchgrasp.data import CompactTransitions
@@ -40,8 +41,15 @@ def make_experience(
         shapes: of the observations, as `observed_shapes` tells them.
         own: name of the source that episodes are added to.
     """
-    replay, codec = cfg.replay, make_codec(cfg, networks.values())
+    replay, kept = cfg.replay, keep_features(cfg, networks)
     augment, priority = build(replay.augment), build(replay.priority)
+    given = make_codec(cfg, networks.values())
+    codec = given
+    if (features := kept.make_transform(augment)) is not None:
+        states = _list_states(cfg, networks.values())
+        options = {"feature_dtype": replay.get("feature_dtype", "float16"), "drop_keys": kept.drop_keys}
+        codec = build(replay.codec, state_keys=states, features=features, **options)
+        print(kept)
     row = make_row(codec, augment, shapes)
     check_state_inputs(cfg.model, shapes)
     capacity = 0 if cfg.offline.updates else int(replay.online_capacity)
@@ -54,6 +62,7 @@ def make_experience(
         own,
         capacity=capacity,
         row=row,
+        given_row=make_row(given, None, shapes),
         codec=codec,
         batch_size=replay.batch_size,
         own_share=replay.online_fraction,
@@ -68,10 +77,9 @@ def make_experience(
 
 def make_codec(cfg: DictConfig, networks: Iterable[TensorDictModuleBase]) -> CompactTransitions:
     """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
-    states = list(cfg.replay.codec.state_keys)
+    networks = list(networks)
+    codec = build(cfg.replay.codec, state_keys=_list_states(cfg, networks))
     read = {key for each in networks for key in each.in_keys}
-    states += [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
-    codec = build(cfg.replay.codec, state_keys=states)
     if absent := read - {keys.ACTION} - set(codec.observation_keys):
         raise ConfigError(
             f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
@@ -79,6 +87,12 @@ def make_codec(cfg: DictConfig, networks: Iterable[TensorDictModuleBase]) -> Com
             "replay=images and transforms=rgbd; replay.codec.state_keys must name model.state_inputs."
         )
     return codec
+
+
+def _list_states(cfg: DictConfig, networks: Iterable[TensorDictModuleBase]) -> list:
+    states = list(cfg.replay.codec.state_keys)
+    read = {key for each in networks for key in each.in_keys}
+    return states + [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
 
 
 def make_row(
@@ -89,7 +103,7 @@ def make_row(
     Read back and augmented once, so that what cannot be augmented is refused before anything is collected.
     """
     shapes = {**shapes, keys.GOAL: (GOAL_SIZE,)}
-    if absent := [key for key in codec.observation_keys if key not in shapes]:
+    if absent := [key for key in codec.given_keys if key not in shapes]:
         raise ConfigError(
             f"The transforms write no {absent}, which replay.codec stores: keep transforms.points, choose "
             "transforms=rgb, rgbd or rgbdm with replay=images, and where table_plane is absent add "
@@ -100,6 +114,7 @@ def make_row(
     row = codec.example_row(shapes)
     if augment is not None:
         try:
+            check_augmentation(augment, codec.features, codec(row.copy()), shapes)
             augment(codec(row.copy()))
         except TorchgraspError as error:
             raise type(error)(f"replay.augment: {error}") from error

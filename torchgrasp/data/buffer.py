@@ -81,7 +81,7 @@ class MixtureReplayBuffer(StateFiles, TensorDictReplayBuffer):
         if row is not None:
             row_bytes = count_row_bytes(row, prioritised=self._prioritised)
             check_space(sum(capacities.values()), row_bytes, folder=folder)
-        codec = codec or CompactTransitions()
+        codec = self._codec = codec or CompactTransitions()
         storage = MixtureStorage(capacities, folder=folder, next_keys=codec.observation_keys)
         ordered = {name: shares[name] for name in capacities}
         super().__init__(
@@ -120,8 +120,11 @@ class MixtureReplayBuffer(StateFiles, TensorDictReplayBuffer):
         )
 
     def extend_rows(self, rows: TensorDictBase, *, source: str) -> Tensor:
-        """Add `rows` (R) that the codec has encoded, such as a demonstration file's."""
-        return self._extend(self._tag(rows, source))
+        """Add `rows` (R) that the codec has encoded, such as a demonstration file's.
+
+        Features that it keeps are made of rows which lack them.
+        """
+        return self._extend(self._tag(self._codec.complete(rows), source))
 
     @property
     def generator(self) -> torch.Generator:

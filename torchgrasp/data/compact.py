@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
@@ -10,7 +11,14 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
-from torchgrasp.data.encodings import CloudEncoding, Encoding, ImageEncoding, PlainEncoding
+from torchgrasp.data.encodings import (
+    CloudEncoding,
+    Encoding,
+    FeatureEncoding,
+    FeatureType,
+    ImageEncoding,
+    PlainEncoding,
+)
 from torchgrasp.data.sampler import STUB
 from torchgrasp.episodes import check_trajectories, find_links, label_episode_success
 from torchgrasp.errors import ConfigError
@@ -43,6 +51,10 @@ class CompactTransitions(Transform):
             as CameraImage names them. None where there are none.
         state_keys: further observations, with next values, as they are; of labels such as the goal too.
         extra_keys: further keys to keep as they are, without next values; what is stored anyway may be named.
+        features: a transform, `KeepFeatures`, whose out_keys are stored with their next values: it is called
+            once a state, on what is stored of it, and not at all on rows that have them.
+        feature_dtype: float16, bfloat16 or float32; see `FeatureEncoding` for what each costs.
+        drop_keys: observations that `features` reads and nothing else does: they are not stored.
 
     >>> from tensordict import TensorDict
     >>> codec = CompactTransitions(points_key=None, image_channels="d", state_keys=())
@@ -62,25 +74,50 @@ class CompactTransitions(Transform):
         image_channels: str | None = None,
         state_keys: Sequence[NestedKey] = (keys.TIME_LEFT,),
         extra_keys: Sequence[NestedKey] = (),
+        features: Transform | None = None,
+        feature_dtype: FeatureType = "float16",
+        drop_keys: Sequence[NestedKey] = (),
     ) -> None:
         super().__init__()
         self.points_key, self.gripper_points = points_key, gripper_points
-        self._encodings: dict[NestedKey, Encoding] = {}
+        self._given: dict[NestedKey, Encoding] = {}  # of what trajectories have
         if points_key is not None:
-            self._encodings[points_key] = CloudEncoding(points_key, gripper_points=gripper_points)
+            self._given[points_key] = CloudEncoding(points_key, gripper_points=gripper_points)
         if image_channels is not None:
-            self._encodings[image_key] = ImageEncoding(image_key, image_channels)
-        self._encodings |= {_as_key(key): PlainEncoding() for key in state_keys}
-        if not self._encodings:
+            self._given[image_key] = ImageEncoding(image_key, image_channels)
+        self._given |= {_as_key(key): PlainEncoding() for key in state_keys}
+        if not self._given:
             raise ConfigError("CompactTransitions stores no observation: give points_key or image_channels.")
-        stored = {*self._encodings, keys.ACTION, *default_labels(), *_OUTCOMES}
+        self.features = features
+        made = [] if features is None else [_as_key(key) for key in features.out_keys]
+        self._made = {key: FeatureEncoding(key, feature_dtype) for key in made}
+        self._dropped = tuple(map(_as_key, drop_keys))
+        self._check_features()
+        kept = {key: encoding for key, encoding in self._given.items() if key not in self._dropped}
+        self._encodings: dict[NestedKey, Encoding] = {**kept, **self._made}  # of what rows have
+        stored = {*self._given, *self._made, keys.ACTION, *default_labels(), *_OUTCOMES}
         stored |= {keys.EPISODE_SUCCESS, keys.SOURCE}
         self._extra_keys = tuple(key for key in map(_as_key, extra_keys) if key not in stored)
+
+    def _check_features(self) -> None:
+        read = [] if self.features is None else [_as_key(key) for key in self.features.in_keys]
+        if absent := [key for key in (*read, *self._dropped) if key not in self._given]:
+            raise ConfigError(
+                f"features and drop_keys name {absent}, which is no observation of this codec: add it to "
+                "state_keys, or give points_key or image_channels."
+            )
+        if wrong := [key for key in self._dropped if key not in read]:
+            raise ConfigError(f"drop_keys={wrong}: drop what `features` reads, and nothing else.")
 
     @property
     def observation_keys(self) -> tuple[NestedKey, ...]:
         """The observations, which have next values; the storage reads those from the following row."""
         return tuple(self._encodings)
+
+    @property
+    def given_keys(self) -> tuple[NestedKey, ...]:
+        """The observations that trajectories bring along; `features` makes the others."""
+        return tuple(self._given)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self.encode(tensordict)
@@ -89,8 +126,25 @@ class CompactTransitions(Transform):
         """Rows (*) with ("next", observations) to transitions (*)."""
         return self.decode(tensordict)
 
-    def encode(self, trajectories: TensorDictBase) -> TensorDict:
+    def encode(self, trajectories: TensorDictBase) -> TensorDictBase:
         """Trajectories (*, T) to rows (R), each trajectory in order of time, stubs included."""
+        return self.complete(self._encode_given(trajectories))
+
+    def complete(self, rows: TensorDictBase) -> TensorDictBase:
+        """Rows (R) that a codec without `features` has encoded, such as a file's, with the features made."""
+        return self._complete(rows, self.features)
+
+    def _complete(self, rows: TensorDictBase, features: Transform | None) -> TensorDictBase:
+        if features is None or not any(rows.get(key, None) is None for key in self._made):
+            return rows
+        state = {key: self._given[key].decode(_read(rows, key)) for key in map(_as_key, features.in_keys)}
+        made = features(TensorDict(state, rows.shape))
+        rows = rows.exclude(*self._dropped)
+        for key, encoding in self._made.items():
+            rows[key] = encoding.encode(made[key])
+        return rows
+
+    def _encode_given(self, trajectories: TensorDictBase) -> TensorDict:
         check_trajectories(trajectories)
         steps = trajectories.reshape(-1, trajectories.shape[-1])
         valid, linked = find_links(steps)
@@ -101,7 +155,7 @@ class CompactTransitions(Transform):
         rows = TensorDict({}, step.shape)
         for key, value in self._labels(steps).items():
             rows[key] = value.reshape(steps.numel(), -1)[step]
-        for key, encoding in self._encodings.items():
+        for key, encoding in self._given.items():
             rows[key] = encoding.encode(_read(flat, key)[step])
             if bool(stub.any()):
                 rows[key][stub] = encoding.encode(_read(flat["next"], key, after_cut=True)[step[stub]])
@@ -132,14 +186,14 @@ class CompactTransitions(Transform):
         shapes: Mapping[NestedKey, Sequence[int]],
         *,
         dtypes: Mapping[NestedKey, torch.dtype] | None = None,
-    ) -> TensorDict:
+    ) -> TensorDictBase:
         """A row (1) of zeros, by which to tell what rows of such observations take.
 
         Args:
             shapes: of each observation and each of `extra_keys`, as an environment of one world gives it.
             dtypes: of those that are not float32.
         """
-        kept, dtypes = (*self._encodings, *self._extra_keys), dtypes or {}
+        kept, dtypes = (*self._given, *self._extra_keys), dtypes or {}
         if absent := [key for key in kept if key not in shapes]:
             raise ConfigError(
                 f"The shapes of {absent} are missing, which CompactTransitions stores: give them as well, or "
@@ -153,7 +207,9 @@ class CompactTransitions(Transform):
         end = torch.ones(1, 1, dtype=torch.bool)
         ends = {"reward": torch.zeros(1, 1), "terminated": end, "done": end}
         action = torch.zeros(1, ACTION_SIZE)
-        return self.encode(state.copy().update({keys.ACTION: action, "next": state.copy().update(ends)}))
+        step = state.copy().update({keys.ACTION: action, "next": state.copy().update(ends)})
+        # A trial: the encoder may be given its weights later.
+        return self._complete(self._encode_given(step), copy(self.features))
 
     def decode(self, rows: TensorDictBase) -> TensorDictBase:
         """Rows (*), with ("next", observations) or without, to float32 observations and TorchRL's keys."""

@@ -120,6 +120,7 @@ class GraspCritic(TensorDictModule):
 
 class _CriticNetwork(EncoderNetwork):
     bound: Tensor
+    reads_action = True
 
     def __init__(
         self,
@@ -135,14 +136,17 @@ class _CriticNetwork(EncoderNetwork):
         reads_table: bool,
     ) -> None:
         super().__init__(encoder, freeze=freeze, reads_table=reads_table)
-        self.early, self.channel_dim = early, get_channel_dim(encoder)
+        dim = get_channel_dim(encoder)
+        if early and dim is None:
+            raise ConfigError("fusion='early' needs a cloud or an image; features take fusion='late'.")
+        self.reads_action_early, self.channel_dim = early, dim or -1
         self.value_heads = nn.ModuleList(head(feature_size, hidden, 1) for _ in range(num_q))
         self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
         self.register_buffer("bound", bound)
 
     def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
         action, vectors = vectors[-1] / self.bound, vectors[:-1]
-        if self.early:
+        if self.reads_action_early:
             observed = join_channels(observed, action, self.channel_dim)
         else:
             vectors = (action, *vectors)

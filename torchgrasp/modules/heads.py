@@ -30,7 +30,14 @@ class EncoderNetwork(nn.Module):
 
     A frozen encoder's parameters get no gradients, `train` leaves it in evaluation mode, and gradients
     still pass through it to its input.
+
+    Attributes:
+        reads_action: whether the action is the last of its inputs.
+        reads_action_early: whether the encoder sees it.
     """
+
+    reads_action = False
+    reads_action_early = False
 
     def __init__(self, encoder: nn.Module, *, freeze: bool = False, reads_table: bool = False) -> None:
         super().__init__()
@@ -52,12 +59,17 @@ class EncoderNetwork(nn.Module):
         `dtype` is that of the network's weights, which is asked of one of them: in a loss, `parameters`
         finds none.
         """
+        plane = vectors[-1:] if self.joins_heights else ()
+        feature = self.look(observed, *plane, dtype=dtype)
+        return torch.cat((feature, *(vector.to(feature.dtype) for vector in vectors)), dim=-1)
+
+    def look(self, observed: Tensor, *plane: Tensor, dtype: torch.dtype) -> Tensor:
+        """The encoder's feature alone, of what is observed and, where heights join it, the plane (*, 4)."""
         if observed.is_floating_point():
             observed = observed.to(dtype)
         if self.joins_heights:
-            observed = join_heights(observed, vectors[-1].to(observed.dtype))
-        feature = self.encoder(observed)
-        return torch.cat((feature, *(vector.to(feature.dtype) for vector in vectors)), dim=-1)
+            observed = join_heights(observed, plane[0].to(observed.dtype))
+        return self.encoder(observed)
 
 
 def build_encoder(
@@ -88,9 +100,13 @@ def sees_clouds(encoder: nn.Module) -> bool:
     return get_channel_dim(encoder) == -1
 
 
-def get_channel_dim(encoder: nn.Module) -> int:
-    """Where the encoder's inputs have their channels: its `channel_dim`, -1 for clouds, which have none."""
-    return int(getattr(encoder, "channel_dim", -1))
+def get_channel_dim(encoder: nn.Module) -> int | None:
+    """Where the encoder's inputs have their channels: its `channel_dim`, -1 without one, as of clouds.
+
+    None where they have none: features.
+    """
+    dim = getattr(encoder, "channel_dim", -1)
+    return None if dim is None else int(dim)
 
 
 def join_channels(inputs: Tensor, vector: Tensor, dim: int) -> Tensor:

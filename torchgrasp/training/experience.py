@@ -36,6 +36,7 @@ class Experience:
         capacity: transitions of that source; 0 where no episode is added.
         row: an encoded transition (1), as `CompactTransitions.example_row` gives it.
         codec: how transitions are stored.
+        given_row: an encoded transition (1) as files of demonstrations hold it; `row` where that is the same.
         batch_size: of a batch.
         own_share: of a batch that is drawn from own episodes, in [0, 1].
         seed: of the draws.
@@ -61,10 +62,12 @@ class Experience:
         seed: int,
         augment: Transform | None = None,
         priority: Priority | None = None,
+        given_row: TensorDictBase | None = None,
         folder: str | None = None,
         device: torch.device | str = "cpu",
         ahead: int = 0,
     ) -> None:
+        self._given_row = row if given_row is None else given_row
         self.own, self.codec, self.row, self.priority = own, codec, row, priority
         self._capacity, self._batch_size, self._own_share = capacity, batch_size, own_share
         self._seed, self._augment, self._folder = seed, augment, folder
@@ -80,7 +83,7 @@ class Experience:
         self._sources, self._opened = list(sources), {}
         for source in sources:
             self._opened[source.name] = open_demonstrations(source.path)
-            check_rows(self._opened[source.name], self.row)
+            check_rows(self._opened[source.name], self._given_row)
         rows = {name: opened.card["rows"] for name, opened in self._opened.items()}
         capacities = {self.own: max(1, self._capacity), **rows}
         size = estimate_bytes(sum(capacities.values()), self.row, prioritised=self.priority is not None)

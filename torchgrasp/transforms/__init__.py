@@ -14,6 +14,7 @@ from torchgrasp.transforms.gripper_points import AppendGripperPoints as AppendGr
 from torchgrasp.transforms.hindsight import HindsightGoal as HindsightGoal
 from torchgrasp.transforms.history import HistoryTransform as HistoryTransform
 from torchgrasp.transforms.image import CameraImage as CameraImage
+from torchgrasp.transforms.keep_features import KeepFeatures as KeepFeatures
 from torchgrasp.transforms.mirror import RandomMirror as RandomMirror
 from torchgrasp.transforms.pose_error import CameraPoseError as CameraPoseError
 from torchgrasp.transforms.sample import SamplePoints as SamplePoints

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -26,6 +27,8 @@ class RandomMirror(Transform):
         goal_keys: poses (*, 7), translation and quaternion xyzw.
         plane_keys: planes (*, 4), normal and distance.
         turn_keys: angles (*, 1) about the hand's z.
+        feature_keys: features (*, 4, ...) of all four reflections, in the order of `views`, as KeepFeatures
+            keeps them: that of the reflection drawn is taken, (*, ...).
         generator: of the draws; torch's own without one.
 
     Example:
@@ -43,22 +46,48 @@ class RandomMirror(Transform):
         goal_keys: Sequence[NestedKey] = (keys.GOAL, ("next", keys.GOAL)),
         plane_keys: Sequence[NestedKey] = (keys.TABLE_PLANE, ("next", keys.TABLE_PLANE)),
         turn_keys: Sequence[NestedKey] = (keys.WRIST_ANGLE, ("next", keys.WRIST_ANGLE)),
+        feature_keys: Sequence[NestedKey] = (),
         generator: torch.Generator | None = None,
     ) -> None:
         super().__init__()
         self._points, self._actions, self._goals = tuple(point_keys), tuple(action_keys), tuple(goal_keys)
         self._planes, self._turns = tuple(plane_keys), tuple(turn_keys)
-        self._generator = generator
+        self.feature_keys, self._generator = tuple(feature_keys), generator
+
+    @property
+    def views(self) -> list[Callable[[TensorDictBase], TensorDictBase]]:
+        """Functions of a tensordict (*), one for each reflection: in x and y, in x, in y, in none."""
+        return [partial(self._reflect_all, number=number) for number in range(4)]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Reflect every element of the batch by a draw of its own."""
-        if all(tensordict.get(key, None) is None for key in self._points):
+        known = (*self._points, *self.feature_keys)
+        if all(tensordict.get(key, None) is None for key in known):
             raise ConfigError(
                 f"RandomMirror finds none of {list(self._points)}, and labels without the cloud that they "
                 "belong to must not be mirrored: name the clouds by point_keys, or leave "
                 "RandomMirror out, as for policies that see images."
             )
         draws = torch.randint(0, 2, (*tensordict.batch_size, 2), generator=self._generator)
+        self._pick(tensordict, draws)
+        return self._reflect(tensordict, draws)
+
+    def _reflect_all(self, tensordict: TensorDictBase, *, number: int) -> TensorDictBase:
+        draws = torch.tensor((number // 2, number % 2)).expand(*tensordict.batch_size, 2)
+        return self._reflect(tensordict, draws)
+
+    def _pick(self, tensordict: TensorDictBase, draws: Tensor) -> None:
+        """Leave of kept features those of the reflections (*, 2) drawn."""
+        number = (2 * draws[..., 0] + draws[..., 1]).to(tensordict.device).reshape(-1)
+        for key in self.feature_keys:
+            features = tensordict.get(key, None)
+            if features is not None:
+                rows = features.reshape(-1, *features.shape[tensordict.ndim :])
+                picked = rows[torch.arange(len(rows), device=rows.device), number]
+                tensordict.set(key, picked.reshape(*tensordict.batch_size, *picked.shape[1:]))
+
+    def _reflect(self, tensordict: TensorDictBase, draws: Tensor) -> TensorDictBase:
+        """Reflect each element by its draws (*, 2): 0 in x, 0 in y."""
         sx, sy = (2.0 * draws - 1.0).to(tensordict.device, non_blocking=True).unbind(-1)
         one = torch.ones_like(sx)
         # S R S for S = diag(sx, sy, 1): a turn about an axis keeps its sense or loses it.
