@@ -15,6 +15,7 @@ from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
 from learner_updates import benchmark_learner
+from neighbours import benchmark_neighbours
 from omegaconf import DictConfig
 from preparation_time import benchmark_preparation
 from replay_buffer import benchmark_replay
@@ -35,6 +36,7 @@ _SUITES = {
     "encoder": benchmark_encoder,
     "update": benchmark_update,
     "learner": benchmark_learner,
+    "neighbours": benchmark_neighbours,
     "training": benchmark_training,
 }
 # Those that step the environment of this configuration.

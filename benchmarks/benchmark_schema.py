@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from torchgrasp.config.schema import Env, OpenSection
-from torchgrasp.config.value_types import Count, Device, Positive, at_least
+from torchgrasp.config.value_types import Count, Device, Positive, at_least, between
 
 
 class Clouds(OpenSection):
@@ -26,6 +26,14 @@ class Learner(OpenSection):
     transitions: Positive
     repeats: Positive
     profile: list[str]
+
+
+class Neighbours(OpenSection):
+    """Of the suite `neighbours`."""
+
+    batch: Positive
+    points: Positive
+    seconds: Annotated[float, between(0.01, 600.0)]
 
 
 class Training(OpenSection):
@@ -56,6 +64,7 @@ class Benchmark(OpenSection):
     draws: Positive
     clouds: Clouds
     learner: Learner
+    neighbours: Neighbours
     training: Training
     env: Env
     collector: Workers

@@ -1,9 +1,10 @@
-"""The suites `encoder` and `update` measure what they say, on the fewest clouds."""
+"""The suites `encoder`, `update` and `neighbours` measure what they say, on the fewest clouds."""
 
 import pytest
 import torch
 from encoder_pass import make_encoder_pass
 from kept_update import compare_kept
+from neighbours import measure_neighbours
 from network_passes import make_clouds, measure_pass
 from omegaconf import OmegaConf
 from update_pass import _make_batch, make_update_pass
@@ -25,6 +26,13 @@ def test_updates_on_kept_features_are_the_faster():
     cfg = OmegaConf.create({"clouds": {"threads": torch.get_num_threads(), "repeats": 1}})
     anew, kept = compare_kept(cfg, _make_batch(32, 512))
     assert all(anew[kind] > kept[kind] > 0 for kind in ("imitation", "critic", "actor"))
+
+
+def test_an_update_is_timed_beside_none_one_and_a_process_a_core():
+    threads = torch.get_num_threads()
+    times = measure_neighbours(True, 2, {"batch": 64, "points": 16, "seconds": 0.01})
+    assert len(times) == 3 and min(times) > 0
+    torch.set_num_threads(threads)
 
 
 def test_clouds_lie_on_a_box():

@@ -26,6 +26,7 @@ from torchgrasp.runs import MetricsLogger, Progress, Stopwatch, load_checkpoint
 from torchgrasp.runs.checkpoint import checkpoint_exists
 from torchgrasp.runs.loggers import make_logger
 from torchgrasp.training import cosine_schedule, step_schedule
+from torchgrasp.training.cores import updates_on_cores
 
 # Online episodes are numbered from here on: none repeats a demonstration.
 _FIRST_EPISODE = 1_000_000
@@ -72,6 +73,7 @@ class Run(RunState[LearnerT]):
             opened.enter_context(watch_signals())
             self.folder = open_run_dir(self.cfg, self.cfg.recipe)
             opened.enter_context(own_folder(self.folder))
+            print(opened.enter_context(updates_on_cores(self.cfg.device)))
             keep = PREDICTED_FROM if self.cfg.evaluation.grasp_prediction else LEARNED_FROM
             self.pool = opened.enter_context(make_pool(self.cfg, keep=keep))
             with noted(self._way_on):

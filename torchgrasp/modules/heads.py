@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import GOAL_SIZE
+from torchgrasp.modules.batch_parts import encode_in_parts
 from torchgrasp.modules.layers import mlp, shrink_last_layer
 
 # Heights are divided by it, as PointNet divides coordinates: about the size of an object, metres.
@@ -69,7 +70,7 @@ class EncoderNetwork(nn.Module):
             observed = observed.to(dtype)
         if self.joins_heights:
             observed = join_heights(observed, plane[0].to(observed.dtype))
-        return self.encoder(observed)
+        return encode_in_parts(self.encoder, observed)
 
 
 def build_encoder(

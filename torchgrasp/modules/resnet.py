@@ -71,6 +71,7 @@ class ResNet18(nn.Module):
             )
         base = GROUP_CHANNELS * max(1, round(64 * width / GROUP_CHANNELS))
         self.in_channels, self.out_features, self.norm = in_channels, 8 * base, norm
+        self.rows_are_independent = norm != "batch"
         self.conv1 = _convolution(in_channels, base, 7, 2)
         self.bn1 = image_norm(norm, base)
         widths = [base * factor for factor in (1, 1, 2, 4, 8)]
