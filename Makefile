@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint docs install clean
+.PHONY: help demo test proofs lint docs install clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -13,8 +13,11 @@ help:  ## list the targets
 demo: $(VENV)/.installed  ## train and evaluate a policy (more options: make demo ARGS="seed=1")
 	$(BIN)/python recipes/td3_bc.py $(ARGS)
 
-test: $(VENV)/.installed-dev  ## all tests, doctests and examples (choose: make test ARGS="-k critic")
+test: $(VENV)/.installed-dev  ## tests, doctests and examples (choose: make test ARGS="-k critic")
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+
+proofs: $(VENV)/.installed-dev  ## the slow tests: whole runs that are killed, on Ray, in sweeps
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow tests $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## style, formatting and types
 	$(BIN)/ruff check .

@@ -60,7 +60,7 @@ def measure_neighbours(parts: bool, threads: int | None, options: dict) -> list[
     update, found = _make_update(options["batch"], options["points"]), []
     with ExitStack() as stack:
         if parts:
-            stack.enter_context(updates_on_cores())
+            stack.enter_context(updates_on_cores([PointNet(4)]))
         for number in (0, 1, count_cores()):
             busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(number)]
             try:

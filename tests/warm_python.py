@@ -152,11 +152,11 @@ def _read(stream: IO[str], name: str, into: dict[str, str]) -> None:
 class _Server:
     def __init__(self) -> None:
         self._channel, theirs = socket.socketpair()
-        root = str(Path(__file__).parents[1])
+        found = [str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
             [sys.executable, "-c", f"import {__name__} as warm; warm.serve({theirs.fileno()})()"],
             pass_fds=[theirs.fileno()],
-            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": root},
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(found)},
         )
         theirs.close()
 
@@ -243,5 +243,5 @@ def _become(told: dict, descriptors: list[int]) -> None:
     os.chdir(told["folder"])
     atexit.register(gc.unfreeze)  # what is never freed is told of at the end
     script, sys.argv = told["arguments"][0], told["arguments"]
-    sys.path[0] = str(Path(script).parent)
+    sys.path[:2] = [str(Path(script).parent)]  # as for any script: without this project's root
     runpy.run_path(script, run_name="__main__")

@@ -8,7 +8,7 @@ from torchgrasp.config.kept_features import keep_features
 from torchgrasp.config.networks import make_networks
 from torchgrasp.config.transition_storage import make_experience
 from torchgrasp.data import DemonstrationSource
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import seed_everything
 
 POINTS = {"points": (38, 4), "time_left": (1,), "table_plane": (4,), "wrist_angle": (1,)}
@@ -106,9 +106,13 @@ def test_features_of_weights_that_a_checkpoint_brings_are_taken_up(composed, dem
         if not seed:
             experience.load_demonstrations()
             states = [learner.state_dict(), experience.buffer.state_dict()]
-    with pytest.raises(Exception, match="of another encoder"):
+    with pytest.raises(CheckpointError, match="of another encoder"):
         experience.buffer.load_state_dict(states[1])
     learner.load_state_dict(states[0])
     experience.buffer.load_state_dict(states[1])
     experience.draw_demonstrations()
-    learner.update_critic(experience.sample())
+    batch = experience.sample()
+    frozen = {name: value.clone() for name, value in learner.networks["critic"].state_dict().items()}
+    learner.update_critic(batch)
+    after = learner.networks["critic"].state_dict()
+    assert all(torch.equal(after[name], value) is (".encoder." in name) for name, value in frozen.items())

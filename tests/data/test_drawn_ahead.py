@@ -46,6 +46,8 @@ def test_a_pause_leaves_the_generator_where_the_draws_taken_left_it():
 def test_no_more_than_its_depth_are_drawn_ahead():
     _, ahead = make(depth=2)
     next(ahead)
+    while len(ahead._ready) < 2:
+        time.sleep(0.001)
     time.sleep(0.05)
     assert len(ahead._ready) == 2
     ahead.close()

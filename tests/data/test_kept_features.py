@@ -8,7 +8,7 @@ from torch import nn
 from tests.data.rollouts import make_rollout
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer
 from torchgrasp.data.encodings import FeatureEncoding
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.transforms import KeepFeatures
 
 KEY = ("features", "it")
@@ -69,7 +69,7 @@ def test_the_buffers_state_holds_whose_features_they_are():
     other = make_features()
     with torch.no_grad():
         next(other._encoder.parameters()).add_(1.0)
-    with pytest.raises(Exception, match="of another encoder"):
+    with pytest.raises(CheckpointError, match="of another encoder"):
         make_buffer(CompactTransitions(features=other)).load_state_dict(state)
 
 

@@ -60,6 +60,7 @@ def test_a_collector_goes_through_episodes_one_after_another():
     assert torch.equal(after[:, within], before[:, within])
 
 
+@pytest.mark.slow
 def test_two_collecting_processes_share_out_the_same_worlds(expected):
     collector = MultiSyncCollector(WORKERS, idle, frames_per_batch=6, total_frames=6, cat_results="stack")
     try:

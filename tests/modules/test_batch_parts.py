@@ -89,7 +89,9 @@ def test_small_batches_stay_whole(rows, seen):
 
 @pytest.mark.parametrize("encoder", [PointNet(4, norm="batch"), PointNet2(4, width=0.1, start="random")])
 def test_encoders_whose_rows_belong_together_get_them_together(encoder):
-    assert not module._can_be_parted(encoder, torch.rand(64, 9, 4))
+    with batches_in_parts(2):
+        assert not module._can_be_parted(encoder, torch.rand(64, 9, 4))
+        assert module._can_be_parted(PointNet(4), torch.rand(64, 9, 4))
 
 
 def test_cores_are_given_back_and_one_is_said_to_be_one(monkeypatch):
@@ -97,11 +99,13 @@ def test_cores_are_given_back_and_one_is_said_to_be_one(monkeypatch):
     before = torch.get_num_threads()
     try:
         torch.set_num_threads(2)
-        with updates_on_cores() as told:
+        with updates_on_cores([PointNet(4)]) as told:
             assert "2 cores, a batch in 4 parts" in told and torch.get_num_threads() == 1
             assert module._threads.number == 4
         assert torch.get_num_threads() == 2 and module._threads.number == 1
-        with updates_on_cores("cuda") as told:
+        with updates_on_cores([PointNet(4, norm="batch")]) as told:
+            assert told == "Updates use 2 cores" and torch.get_num_threads() == 2
+        with updates_on_cores([PointNet(4)], "cuda") as told:
             assert told == "Updates run on cuda" and module._threads.number == 1
     finally:
         torch.set_num_threads(before)

@@ -142,6 +142,7 @@ def test_prepare_builds_in_processes_what_this_process_would(tmp_path):
     assert [item.content_hash for item in pair[0]] == [item.content_hash for item in pair[1]]
 
 
+@pytest.mark.slow
 def test_a_script_without_a_main_guard_still_gets_its_objects(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text(

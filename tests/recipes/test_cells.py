@@ -14,6 +14,7 @@ DEPTH = ["transforms.image.channels=dm", "model.channels=2", "model.encoder.rgb=
 COLOUR = ["camera=render"]
 
 
+@pytest.mark.slow
 def test_offline_learns_from_successes_and_from_failures_without_labels(composed, tmp_path):
     cell = ["experiment=[smoke,table3/offline]", "offline.updates=5", *SHORT]
     summary = td3_bc.train(composed(*cell))

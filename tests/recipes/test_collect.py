@@ -6,6 +6,8 @@ import signal
 import subprocess
 import time
 
+import pytest
+
 from recipes import collect
 from tests.recipes.runner import command, environment
 from tests.warm_python import WarmProcess
@@ -28,6 +30,7 @@ def test_it_collects_into_its_folder_and_tells_what(composed, tmp_path, capsys):
     assert again == card  # enough is there
 
 
+@pytest.mark.slow
 def test_killed_at_any_moment_and_resumed_equals_never_killed(composed, tmp_path):
     """Killed by SIGKILL while two workers collect; shards hold the failures of their rounds alone."""
     given = ["demonstrations.kind=failed", "demonstrations.steps=200"]

@@ -26,6 +26,7 @@ def alone(tmp_path_factory) -> list[dict[str, str]]:
     return read_results(find_run(root, "td3_bc"))
 
 
+@pytest.mark.slow
 def test_a_worker_killed_while_training_changes_nothing(alone, tmp_path):
     process = WarmProcess(
         command("td3_bc", tmp_path, *OPTIONS, "collector=async", "collector.num_workers=1"),
@@ -53,6 +54,7 @@ def wait_for_worker(root: Path, process: WarmProcess) -> int:
     raise AssertionError(f"no worker before the run ended with {process.poll()}")
 
 
+@pytest.mark.slow
 def test_training_on_ray_is_the_same(alone, tmp_path):
     workers = ["collector=ray", "collector.num_workers=1", "collector.overlap=true"]
     given = command("td3_bc", tmp_path, *OPTIONS, *workers)

@@ -50,7 +50,7 @@ def uninterrupted(tmp_path_factory):
     return train(compose_config(f"output_dir={tmp_path_factory.mktemp('whole')}", *SMOKE))
 
 
-@pytest.mark.parametrize("update", [4, 8, 12])
+@pytest.mark.parametrize("update", [4, *(pytest.param(each, marks=pytest.mark.slow) for each in (8, 12))])
 def test_interrupted_in_an_update_and_resumed_equals_never_interrupted(
     composed, tmp_path, uninterrupted, update
 ):
@@ -139,6 +139,7 @@ def test_another_recipe_ends_with_one_line(tmp_path):
     assert process.returncode == 130
 
 
+@pytest.mark.slow
 def test_the_jobs_of_a_sweep_end_in_good_order_and_no_further_one_begins(tmp_path):
     launcher = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
     given = [*SMOKE, "total_env_steps=100000", *launcher, "seed=0,1,2", "-m"]

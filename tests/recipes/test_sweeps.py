@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from torchgrasp.runs.sweep_record import read_sweep
 
 SMOKE = ("experiment=smoke", "evaluation.baselines=[]")
@@ -36,6 +38,7 @@ def test_two_seeds_train_one_fails_and_the_rest_is_compared(run_recipe, tmp_path
     assert "pretrain.steps=6  0, 1" in out
 
 
+@pytest.mark.slow
 def test_jobs_side_by_side_have_directories_of_their_own(run_recipe, tmp_path):
     launcher = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "collector.num_workers=1")
     code, out, err = run_recipe("td3_bc", *SMOKE, *launcher, "seed=0,1", "total_env_steps=0", "-m")

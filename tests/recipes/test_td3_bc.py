@@ -1,5 +1,6 @@
 """recipes/td3_bc.py end to end: what it writes, and that a run killed on the way ends like any other."""
 
+import functools
 import json
 import os
 import shutil
@@ -25,6 +26,7 @@ from tests.warm_python import WarmProcess
 from torchgrasp.config import Run, make_actor_critic
 from torchgrasp.errors import CheckpointError, ConfigError
 
+slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 REQUIRED = {
     *("success_rate", "success_ci95", "episodes", "objects", "wall_seconds", "env_steps", "gradient_steps"),
     *("versions", "hardware"),
@@ -80,7 +82,9 @@ def test_a_run_tells_where_its_time_goes_and_its_memory(finished_run):
     assert held and all(50 < megabytes < 10_000 for megabytes in held)
 
 
-@pytest.mark.parametrize(("kill_at", "overrides"), [(0, []), (8, []), (15, ["collector.num_workers=1"])])
+@pytest.mark.parametrize(
+    ("kill_at", "overrides"), [slow(0, []), (8, []), slow(15, ["collector.num_workers=1"])]
+)
 def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at, overrides):
     """Killed at the first checkpoint (0, while it imitates) or at a gradient step; also with a worker."""
     process = WarmProcess(

@@ -284,6 +284,7 @@ def test_an_address_where_no_ray_is_is_refused_at_once():
     assert "ConfigError: address=127.0.0.1:9 does not answer" in done.stderr
 
 
+@pytest.mark.slow
 def test_ray_that_is_started_here_listens_to_this_machine_alone_and_ends_at_once():
     """Two workers where there is room for none: they wait for it, and closing does not wait with them."""
     script = """

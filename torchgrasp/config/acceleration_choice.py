@@ -22,8 +22,9 @@ def make_acceleration(cfg: DictConfig) -> Acceleration:
         mode = None
     if device.type != "cuda" and graphs is True:
         print(f"cudagraphs=true needs device=cuda, not {cfg.device}: updates run without it.", flush=True)
-    wanted = mode != "reduce-overhead" if graphs == "auto" else graphs
-    return Acceleration(compile=mode, cudagraphs=wanted and device.type == "cuda", device=device)
+    if device.type != "cuda" or (graphs == "auto" and mode == "reduce-overhead"):
+        graphs = False
+    return Acceleration(compile=mode, cudagraphs=graphs, device=device)
 
 
 def _why_not_compiled(device: torch.device) -> str | None:

@@ -112,14 +112,17 @@ def _reads_action(network: Any) -> bool:
 
 def _find_viewing(augment: Transform | None) -> list[Any]:
     """Those of an augmentation, which TorchRL's Compose may join, that tell their views."""
-    parts = augment.transforms if isinstance(augment, Compose) else [augment]
-    found = [each for each in parts if hasattr(each, "views")]
+    found = [each for each in _list_parts(augment) if hasattr(each, "views")]
     if len(found) > 1:
         raise ConfigError(
             f"replay.augment has {len(found)} transforms with views, and features of all their combinations "
             "are too many to keep: leave one, or give replay.keep_features=null."
         )
     return found
+
+
+def _list_parts(augment: Transform | None) -> list[Any]:
+    return list(augment.transforms) if isinstance(augment, Compose) else [augment]
 
 
 def check_augmentation(
@@ -133,16 +136,18 @@ def check_augmentation(
         batch: a transition (1), as it is sampled.
         shapes: of what is observed.
     """
-    if features is None or _find_viewing(augment):
+    unseen = [each for each in _list_parts(augment) if not hasattr(each, "views")]
+    if features is None or not unseen:
         return
     trial = batch.expand(_TRIALS).clone()
     with torch.random.fork_rng(devices=[]):
         for key in features.in_keys:
             trial.set(key, torch.rand(_TRIALS, *shapes[key]))
         before = trial.select(*features.in_keys).clone()
-        after = augment(trial)
+        for each in unseen:
+            trial = each(trial)
     for key, value in before.items(True, True):
-        if not torch.equal(value, after[key]):
+        if not torch.equal(value, trial[key]):
             raise ConfigError(
                 f"replay.augment changes {key!r}, of which features are kept: give "
                 "replay.keep_features=null, or an augmentation that tells its `views`, as RandomMirror does."

@@ -73,7 +73,8 @@ class Run(RunState[LearnerT]):
             opened.enter_context(watch_signals())
             self.folder = open_run_dir(self.cfg, self.cfg.recipe)
             opened.enter_context(own_folder(self.folder))
-            print(opened.enter_context(updates_on_cores(self.cfg.device)))
+            networks = self.learner.networks.values() if self.cfg.compile is None else []
+            print(opened.enter_context(updates_on_cores(networks, self.cfg.device)))
             keep = PREDICTED_FROM if self.cfg.evaluation.grasp_prediction else LEARNED_FROM
             self.pool = opened.enter_context(make_pool(self.cfg, keep=keep))
             with noted(self._way_on):

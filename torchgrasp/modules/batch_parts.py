@@ -40,7 +40,8 @@ class _Threads:
         self.number, self.pool = 1, None
 
     def map(self, work: Callable[[T], Any], items: list[T]) -> list[Any]:
-        assert self.pool is not None
+        if self.pool is None:  # a backward pass after the block
+            return [work(item) for item in items]
         others = [self.pool.submit(work, item) for item in items[1:]]
         first = work(items[0])
         return [first, *(each.result() for each in others)]
@@ -54,7 +55,8 @@ os.register_at_fork(after_in_child=_threads.forget)
 def batches_in_parts(number: int) -> Iterator[None]:
     """Have the encoders of actors, critics and goal predictors take large batches in `number` parts.
 
-    On the CPU alone, and for encoders whose rows do not depend on one another. Sums over the batch are
+    On the CPU alone, and for encoders whose rows do not depend on one another. A feature made in parts
+    has one backward pass: sum the losses that share it. Sums over the batch are
     rounded otherwise than in one piece, and alike at each call. Give torch its share of the cores for
     each (``torch.set_num_threads``) meanwhile.
 
@@ -86,10 +88,17 @@ def encode_in_parts(encoder: nn.Module, observed: Tensor) -> Tensor:
 def _can_be_parted(encoder: nn.Module, observed: Tensor) -> bool:
     elsewhere = torch.compiler.is_compiling() or torch.is_inference_mode_enabled()
     elsewhere = elsewhere or torch.is_autocast_enabled("cpu")
-    elsewhere = elsewhere or torch._C._functorch.peek_interpreter_stack()  # pyright: ignore[reportAttributeAccessIssue]
+    functorch: Any = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
+    elsewhere = elsewhere or functorch.peek_interpreter_stack()
     large = observed.ndim > 2 and _count_parts(observed) > 1
     if elsewhere or not large or observed.device.type != "cpu":
         return False
+    # A hook would see each part's gradient.
+    return goes_in_parts(encoder) and not any(each._backward_hooks for each in _list_weights(encoder))
+
+
+def goes_in_parts(encoder: nn.Module) -> bool:
+    """Whether `batches_in_parts` has an effect on the encoder: each row is its own, nothing is drawn."""
     independent = getattr(encoder, "rows_are_independent", False)
     # Threads would draw from one generator in any order.
     return independent and not any(getattr(each, "start", None) == "random" for each in encoder.modules())
@@ -104,11 +113,12 @@ def _split(observed: Tensor) -> list[Tensor]:
 
 
 def _list_weights(encoder: nn.Module) -> list[Tensor]:
-    """What learns of an encoder; a loss keeps tensors in place of parameters."""
+    """What learns of an encoder, each once; a loss keeps tensors in place of parameters."""
     held = (
         value for each in encoder.modules() for value in (*each._parameters.values(), *vars(each).values())
     )
-    return [value for value in held if isinstance(value, Tensor) and value.requires_grad]
+    learning = {id(value): value for value in held if isinstance(value, Tensor) and value.requires_grad}
+    return [*learning.values()]
 
 
 class _Parted(torch.autograd.Function):
@@ -129,7 +139,10 @@ class _Parted(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         if ctx.passes is None:
-            raise RuntimeError("Parts of a batch keep no graph for a second backward pass.")
+            raise RuntimeError(
+                "A feature made in parts has one backward pass: sum the losses before it, or leave "
+                "batches_in_parts out."
+            )
         passes, ctx.passes = ctx.passes, None
         to_input = ctx.needs_input_grad[1]
 

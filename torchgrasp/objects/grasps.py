@@ -49,7 +49,7 @@ def sample_grasps(
     Every grasp comes with its half turn about z (the hand is symmetric), next to it in the order.
     Fewer come back where the shape offers fewer in `rounds` tries; none for what does not fit. With
     `resting` poses (K, 4, 4), half of the places go first to grasps clear of the table in those. What
-    lies too flat in all of them gets grasps with the finger tips.
+    lies too flat in all of them gets grasps with the finger tips, for up to three quarters of the places.
     """
     body = Body.of(vertices, faces, parts, rng)
     pool = _whole_pad_grasps(body, enough=count + count % 2, rng=rng, rounds=rounds)
@@ -62,8 +62,10 @@ def sample_grasps(
     if _too_flat(usual, nearby_rests(corners, resting, _RESTS_TO_JUDGE, rng)):
         rests = nearby_rests(corners, resting[:_LAYS], _RESTS_TO_SERVE, rng).reshape(-1, 4, 4)
         pool = GraspCandidates.joined(pool, finger_tip_grasps(body, rests, rng))
-        clear, most = steadiest(clear_in_rests(pool.poses, rests)), 3 * count // 8
-        grasps = choose_spread(pool, count, clear, each=max(1, most // len(rests)))
+        most = max(1, 3 * count // 8)  # three quarters of the places
+        served = np.unique(np.linspace(0, len(rests) - 1, most).astype(int))  # all, where there are places
+        clear = steadiest(clear_in_rests(pool.poses, rests))[served]
+        grasps = choose_spread(pool, count, clear, each=most // len(clear))
     return grasps
 
 

@@ -45,6 +45,8 @@ def read_off(data: bytes) -> trimesh.Trimesh:
     if min(num_vertices, num_faces) < 0 or num_vertices + num_faces > len(lines) - 1:
         raise ValueError(f"{num_vertices} vertices and {num_faces} faces in {len(lines) - 1} lines")
     corners = [[float(word) for word in line[:3]] for line in lines[1 : num_vertices + 1]]
+    if any(len(each) < 3 for each in corners):
+        raise ValueError("a vertex has fewer than three numbers")
     rows = lines[num_vertices + 1 : num_vertices + num_faces + 1]
     polygons = [[int(word) for word in row[1 : int(row[0]) + 1]] for row in rows]
     if any(len(each) < int(row[0]) for each, row in zip(polygons, rows, strict=True)):

@@ -181,8 +181,8 @@ def _tried(device: torch.device) -> bool:
     except Exception as error:  # Triton needs a C compiler and fails in many ways
         warnings.warn(
             f"torchgrasp's kernels of a network over balls do not work on {device} ({type(error).__name__}: "
-            f"{error}); slower torch operations take their place. They need Triton, which comes with torch, "
-            "and a C compiler.",
+            f"{error}); slower torch operations, which take more memory, take their place. They need Triton, "
+            "which comes with torch, and a C compiler.",
             stacklevel=2,
         )
         return False

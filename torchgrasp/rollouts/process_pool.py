@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import pickle
+import signal
+import sys
 import threading
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
+from multiprocessing import forkserver, get_context, parent_process
 from multiprocessing.connection import Connection
 
 import torch
@@ -18,13 +20,16 @@ from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, Worke
 # would share its threads and physics, and one spawned anew imports for eight seconds.
 _COPIES = get_context("forkserver")
 _IMPORTED = ["torchgrasp.rollouts", "torchgrasp.envs", "torchgrasp.planning", "torchgrasp.modules"]
+_SERVER_IS_GONE = 255  # the exit code that multiprocessing gives to its children then
 _STARTING = threading.Lock()  # multiprocessing keeps its children in a list without one
 
 
 class ProcessPool(WorkerPool):
     """Runs episodes in `num_workers` processes, each on one core; see `WorkerPool`.
 
-    They share the memory of what they import.
+    They are copies of one process, that of multiprocessing's "forkserver", and share the memory of what it
+    has imported. A program that uses a forkserver itself, and has started it, keeps its own: workers then
+    import for themselves.
 
     Example:
         >>> import functools
@@ -57,7 +62,7 @@ class ProcessWorker(Worker):
         work = (theirs, runner, dict(os.environ))
         self._process = _COPIES.Process(target=_serve, args=work, daemon=True)
         with _STARTING:
-            _COPIES.set_forkserver_preload(_IMPORTED)
+            _start_server()
             self._process.start()
         theirs.close()  # so that its death closes the pipe
         self._name = f"Worker {index} (process {self._process.pid})"
@@ -74,6 +79,24 @@ class ProcessWorker(Worker):
     def stop(self) -> None:
         """Kill the process; it holds nothing that anybody misses."""
         self._process.kill()
+        if self._process.exitcode == _SERVER_IS_GONE and self._process.pid is not None:
+            with suppress(ProcessLookupError):  # which multiprocessing takes for dead
+                os.kill(self._process.pid, signal.SIGKILL)
+
+
+def _start_server() -> None:
+    """Have the process that workers are copies of import from where this one does; once is enough."""
+    given = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        _COPIES.set_forkserver_preload(_IMPORTED)
+        forkserver.ensure_running()
+    finally:
+        for name, value in given.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
 
 
 def _serve(pipe: Connection, packed: bytes, environment: dict[str, str]) -> None:

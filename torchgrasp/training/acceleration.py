@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,7 +33,8 @@ class Acceleration:
     Attributes:
         compile: mode of torch.compile for whole updates; None does not compile. 'reduce-overhead' replays
             what it can as CUDA graphs of its own.
-        cudagraphs: whether each kind of update, compiled or not, is recorded as a CUDA graph and replayed.
+        cudagraphs: whether each kind of update, compiled or not, is recorded as a CUDA graph and replayed;
+            "auto" goes on without, after a warning, where one cannot be recorded.
         device: of networks and batches.
 
     Example:
@@ -41,7 +43,7 @@ class Acceleration:
     """
 
     compile: CompileMode | None = None
-    cudagraphs: bool = False
+    cudagraphs: bool | Literal["auto"] = False
     device: torch.device | str = "cpu"
 
     def __post_init__(self) -> None:
@@ -65,13 +67,17 @@ class Acceleration:
     @property
     def active(self) -> bool:
         """Whether updates are compiled or recorded."""
-        return self.cudagraphs or self.compile is not None
+        return bool(self.cudagraphs) or self.compile is not None
 
     def wrap(self, update: Update, generators: Sequence[torch.Generator] = ()) -> Update:
         """The update, run this way; `generators` are those that it draws from beside torch's own."""
         if self.compile is not None:
             update = _CompiledUpdate(update, self.compile)
-        return RecordedUpdate(update, generators, pool=self._pool) if self.cudagraphs else update
+        if not self.cudagraphs:
+            return update
+        return RecordedUpdate(
+            update, generators, device=self.device, pool=self._pool, required=self.cudagraphs is True
+        )
 
     def make_adam(self, parameters: Iterable[nn.Parameter]) -> Adam:
         """Adam that can be part of such an update: its rate is a tensor, which `set_rate` fills."""
@@ -130,19 +136,33 @@ class RecordedUpdate:
     Args:
         update: that only ever does the same: no shape and no choice depends on values.
         generators: CUDA generators that it draws from beside torch's own.
+        device: the CUDA device on which all of it is.
+        required: whether an update that cannot be recorded is an error; otherwise it runs as it is.
         pool: of memory, of `torch.cuda.graph_pool_handle`, that updates share which never run at once.
     """
 
     def __init__(
-        self, update: Update, generators: Sequence[torch.Generator] = (), *, pool: Any = None
+        self,
+        update: Update,
+        generators: Sequence[torch.Generator] = (),
+        *,
+        device: torch.device | str = "cuda",
+        required: bool = True,
+        pool: Any = None,
     ) -> None:
         self._update, self._generators, self._pool = update, tuple(generators), pool
-        self._stream = torch.cuda.Stream()
+        self._device, self._required = torch.device(device), required
+        self._stream = torch.cuda.Stream(self._device)
         self._calls: dict[tuple, int] = {}
         self._recordings: dict[tuple, _Recording] = {}
+        self._given_up = False
 
     def __call__(self, batch: TensorDictBase) -> TensorDictBase:
         """Learn from a batch (B); what is returned is the caller's."""
+        with torch.cuda.device(self._device):
+            return self._run(batch)
+
+    def _run(self, batch: TensorDictBase) -> TensorDictBase:
         inputs = dict(batch.items(True, True))
         form = tuple((key, value.shape, value.dtype) for key, value in inputs.items())
         if form in self._recordings:
@@ -150,7 +170,16 @@ class RecordedUpdate:
         self._calls[form] = self._calls.get(form, 0) + 1
         if self._calls[form] <= _WARMUP:
             return self._warm_up(batch)
-        self._recordings[form] = self._record(batch)
+        if self._given_up:
+            return self._update(batch.copy())
+        try:
+            self._recordings[form] = self._record(batch)
+        except ConfigError as error:
+            if self._required:
+                raise
+            warnings.warn(f"Updates run without CUDA graphs. {error}", stacklevel=1)
+            self._given_up = True
+            return self._update(batch.copy())
         return self._recordings[form].replay(inputs)
 
     def _record(self, batch: TensorDictBase) -> _Recording:

@@ -163,7 +163,10 @@ class Experience:
 
     def _draw_rows(self, batch_size: int | None) -> TensorDictBase:
         rows = self.buffer.draw_rows(batch_size)
-        return cast(TensorDictBase, rows.apply(Tensor.pin_memory)) if self._device.type == "cuda" else rows
+        if self._device.type != "cuda":
+            return rows
+        with torch.cuda.device(self._device):
+            return cast(TensorDictBase, rows.apply(Tensor.pin_memory))
 
     def _pause(self) -> None:
         """Before anything that changes or saves what is drawn."""

@@ -180,7 +180,8 @@ class KeepFeatures(Transform):
     def _check_encoder(self) -> None:
         """Note whose features are made; refuse to go on with those of another encoder."""
         self._encoder.eval()
-        # Counted up by every write in place: comparing weights each time would take longer than a state does.
+        # Counted up by writes in place but those through `.data`: comparing weights each time would take
+        # longer than a state does.
         versions = sum(each._version for each in self._tensors())
         if versions == self._seen_versions:
             return
