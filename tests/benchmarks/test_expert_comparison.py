@@ -11,6 +11,7 @@ SMALL = ["suite=planner", "episodes=2", "env.num_envs=2", "scenes=3"]
 SMALL += ["objects.num_objects=2", "objects.num_grasps=100"]
 
 
+@pytest.mark.slow
 def test_experts_are_measured_on_the_same_scenes(run_benchmark, tmp_path):
     code, out, err = run_benchmark(*SMALL, "experts=[straight,trajectory]")
     assert code == 0, err

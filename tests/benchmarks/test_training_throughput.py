@@ -7,6 +7,7 @@ from training_throughput import benchmark_training
 from torchgrasp.errors import ConfigError
 
 
+@pytest.mark.slow
 def test_rows_hold_what_the_loop_wrote(composed, capsys):
     options = ['training.overrides=["experiment=smoke"]', "training.workers=[0,1]", "training.iterations=2"]
     rows = benchmark_training(composed(*options))

@@ -27,6 +27,7 @@ def test_the_expert_alone_and_disturbed(collected):
     assert perturbed["steps"] == 48 and perturbed["provenance"]["disturb"]["probability"] == 1
 
 
+@pytest.mark.slow
 def test_a_learner_acts_and_the_expert_labels_every_state(collected, untrained):
     given = ["demonstrations.kind=learner", f"demonstrations.policy={untrained('seed=3')}"]
     alone = collected(*given, name="alone")

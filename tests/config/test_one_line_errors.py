@@ -32,7 +32,9 @@ def test_it_can_be_sent_to_another_process():
         raise ConfigError("no")
 
 
-@pytest.mark.parametrize("unbuffered", [[], ["-u"]], ids=["buffered", "unbuffered"])
+@pytest.mark.parametrize(
+    "unbuffered", [[], pytest.param(["-u"], marks=pytest.mark.slow)], ids=["buffered", "unbuffered"]
+)
 def test_output_that_nobody_reads_ends_without_a_word(unbuffered):
     script = """
 import sys

@@ -87,6 +87,7 @@ def test_partial_resets_leave_the_others_alone(motion):
     assert torch.equal(mixed["joints"][1], second["joints"][1])
 
 
+@pytest.mark.slow
 def test_parallel_workers_play_the_same_episodes():
     task = ("jitter", "ee_delta", "horizon", "facing", "varied")
     makers = [partial(make_env, task, 1, seed=4, first_world=world) for world in range(2)]

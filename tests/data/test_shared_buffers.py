@@ -88,6 +88,7 @@ def write(buffer, rows):
     buffer.extend(rows)
 
 
+@pytest.mark.slow
 def test_a_row_that_another_process_wrote_over_counts_as_new():
     sampler = MixtureSampler({"online": 1.0}, priority=Priority(alpha=1.0, beta=1.0, eps=1e-9))
     buffer = TensorDictReplayBuffer(

@@ -19,7 +19,14 @@ def _blocks(page):
 _WITH_CODE = [page for page in _PAGES if _blocks(page)]
 
 
-@pytest.mark.parametrize("page", _WITH_CODE, ids=lambda page: str(page.relative_to(_ROOT)))
+_SLOW = ("collectors.md", "pendulum.md")  # start processes, or train
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] * (page.name in _SLOW)) for page in _WITH_CODE],
+    ids=lambda page: str(page.relative_to(_ROOT)),
+)
 def test_blocks_of_a_page_run(page):
     namespace = {"__name__": "example"}
     for line, code in _blocks(page):

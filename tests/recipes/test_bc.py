@@ -16,6 +16,7 @@ EVALUATED = ["episodes=2", "evaluation.num_objects=4", "evaluation.num_envs=2", 
 EVALUATED += ["collector.num_workers=0"]
 
 
+@pytest.mark.slow
 def test_offline_learns_from_demonstrations_alone_and_without_a_critic(composed, tmp_path):
     summary = bc.train(composed("experiment=[smoke,table1/offline]", *SHORT, recipe="bc"))
     assert summary["env_steps"] == 0
@@ -54,6 +55,7 @@ def test_a_run_goes_on_is_evaluated_and_begins_reinforcement(composed, tmp_path)
 
 
 @pytest.mark.parametrize("rollouts", ["expert", "learner"])
+@pytest.mark.slow
 def test_who_acts_and_who_labels(composed, tmp_path, rollouts):
     chosen = [f"online.rollouts=[{rollouts}]", "demonstrations.kind=expert", "total_env_steps=24"]
     further = ["model.state_inputs={joints: 9}", "replay.codec.state_keys=[time_left,joints]"]

@@ -1,5 +1,7 @@
 """Cells of the paper's tables as whole runs: what they store, train, write, and read back."""
 
+import functools
+
 import pytest
 
 from recipes import collect, td3_bc
@@ -7,6 +9,7 @@ from recipes.evaluate import evaluate
 from tests.recipes.runner import find_run, read_metrics, stored_rows
 from torchgrasp.runs import load_weights
 
+slow = functools.partial(pytest.param, marks=pytest.mark.slow)
 SHORT = ["evaluation.baselines=[]", "evaluation.episodes=2"]
 EVALUATED = ["episodes=2", "evaluation.num_objects=4", "evaluation.num_envs=2", "objects.num_grasps=100"]
 EVALUATED += ["collector.num_workers=0"]
@@ -29,6 +32,7 @@ def test_offline_learns_from_successes_and_from_failures_without_labels(composed
     assert expert["has_expert"].float().mean() > 0.5
 
 
+@pytest.mark.slow
 def test_a_folder_of_kinds_is_learned_from(composed, tmp_path):
     for kind in ("expert", "failed"):
         path = f"demonstrations.path={tmp_path / 'kinds' / kind}"
@@ -40,6 +44,7 @@ def test_a_folder_of_kinds_is_learned_from(composed, tmp_path):
     assert summary["demonstrations"]["kind"] == "expert" and "failed" in summary["more_demonstrations"]
 
 
+@pytest.mark.slow
 def test_without_dagger_the_learners_steps_keep_goals_but_no_expert(composed, tmp_path):
     td3_bc.train(composed("experiment=[smoke,table3/no_dagger]", "total_env_steps=12", *SHORT))
     rows = stored_rows(find_run(tmp_path, "td3_bc"), "online")
@@ -50,8 +55,8 @@ def test_without_dagger_the_learners_steps_keep_goals_but_no_expert(composed, tm
     ("overrides", "networks", "auxiliary"),
     [
         (["experiment=[smoke,table2/goal_conditioned]"], {"actor", "critic", "goal_network"}, set()),
-        (["experiment=smoke", "model.critic.goal_input=true"], {"actor", "critic"}, {"actor", "critic"}),
-        (
+        slow(["experiment=smoke", "model.critic.goal_input=true"], {"actor", "critic"}, {"actor", "critic"}),
+        slow(
             ["experiment=smoke", "model.actor.goal_input=true", "model.critic.goal_prediction=false"],
             {"actor", "critic", "goal_network"},
             {"actor"},
@@ -76,6 +81,7 @@ def test_goals_read_or_predicted(composed, tmp_path, overrides, networks, auxili
 @pytest.mark.parametrize(
     "chosen", [DEPTH, pytest.param(COLOUR, marks=pytest.mark.vulkan)], ids=["dm", "rgbd"]
 )
+@pytest.mark.slow
 def test_images_train_and_come_back(composed, tmp_path, chosen):
     given = ["experiment=smoke", "model=resnet18", "model.width=0.25", "replay=images", "transforms=rgbd"]
     given += ["transforms.image.size=32", "total_env_steps=12", *SHORT]

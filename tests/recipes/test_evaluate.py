@@ -49,6 +49,7 @@ def test_a_trained_policy_brings_its_parts_along_and_does_what_it_did_at_the_end
     assert "4 scenes of the test split" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_films_of_the_first_episodes_are_written(run_evaluate, tmp_path):
     run_evaluate("policy=random", "episodes=3", "env.horizon=3", "video.episodes=2")
     films = sorted(path.name for path in find_run(tmp_path, "evaluate").glob("videos/*.mp4"))
@@ -90,6 +91,7 @@ def test_planning_and_combined_work_in_other_protocols(run_evaluate, tmp_path, u
     ("overrides", "networks"),
     [([], {"actor", "critic"}), ([*CONDITIONED, *SILENT], {"goal_network"})],
 )
+@pytest.mark.slow
 def test_errors_are_measured_where_the_expert_drives(run_evaluate, untrained, tmp_path, overrides, networks):
     given = [f"policy={untrained(*overrides)}", "episodes=4", "env.horizon=20", "grasp_prediction=true"]
     summary = run_evaluate(*given)

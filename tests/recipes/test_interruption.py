@@ -50,7 +50,8 @@ def uninterrupted(tmp_path_factory):
     return train(compose_config(f"output_dir={tmp_path_factory.mktemp('whole')}", *SMOKE))
 
 
-@pytest.mark.parametrize("update", [4, *(pytest.param(each, marks=pytest.mark.slow) for each in (8, 12))])
+@pytest.mark.slow
+@pytest.mark.parametrize("update", [4, 8, 12])
 def test_interrupted_in_an_update_and_resumed_equals_never_interrupted(
     composed, tmp_path, uninterrupted, update
 ):
@@ -117,6 +118,7 @@ def metrics_of(root: Path) -> list[Path]:
     return list(root.glob("td3_bc/*/metrics.csv"))
 
 
+@pytest.mark.slow
 def test_a_collection_says_how_it_goes_on(tmp_path):
     path = tmp_path / "demos"
     given = ["experiment=smoke", "demonstrations.steps=100000", f"demonstrations.path={path}"]

@@ -152,6 +152,7 @@ def test_resume_from_a_truncated_checkpoint_is_refused(finished_run, tmp_path, c
         td3_bc.train(composed(f"resume={broken}"))
 
 
+@pytest.mark.slow
 def test_the_actors_delay_counts_over_iterations_and_survives_a_resume(composed, tmp_path):
     """One critic update an iteration and a delay of 2: the actor learns in every second iteration."""
     given = ["experiment=smoke", "pretrain.steps=0", "online.updates=1", "online.policy_delay=2"]

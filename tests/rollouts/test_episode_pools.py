@@ -47,7 +47,10 @@ def make_env(num_envs: int = 2):
 ENVS = {"env": make_env, "wide": functools.partial(make_env, 3)}
 
 
-@pytest.fixture(scope="module", params=["serial", *WITH_WORKERS])
+RAY = pytest.param("ray", marks=pytest.mark.slow)
+
+
+@pytest.fixture(scope="module", params=["serial", "processes", RAY])
 def pool(request):
     """One pool of each kind for all tests of this module that harm none."""
     with {"serial": SerialPool, **WITH_WORKERS}[request.param](ENVS) as made:
@@ -179,7 +182,7 @@ def test_overlap_is_one_round_stale(alone):
     assert versions == {False: [0, 1, 2, 3], True: [0, 0, 1, 2, 3]}
 
 
-@pytest.mark.parametrize("pool", WITH_WORKERS, indirect=True)
+@pytest.mark.parametrize("pool", ["processes", RAY], indirect=True)
 class TestDeaths:
     """Workers killed by SIGKILL in the middle of an episode."""
 
@@ -204,7 +207,7 @@ class TestDeaths:
         assert len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("end", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_workers_end_with_who_started_them(tmp_path, end):
     """Killed in a run, or by ctrl-C, which reaches workers too: no orphan, one traceback at most."""
     script = tmp_path / "script.py"
