@@ -46,7 +46,10 @@ def read_state(folder: Path, name: str, remedy: str) -> Any:
 
 def _read_tensors(file: Path, remedy: str) -> dict[str, Tensor]:
     with reading(file, remedy):
-        return load_file(file) if file.exists() else {}
+        try:
+            return load_file(file) if file.exists() else {}
+        except RuntimeError as error:  # it was replaced in between
+            raise CheckpointError(f"{file} cannot be opened ({error}): {remedy}.") from error
 
 
 class _Stateful(Protocol):
