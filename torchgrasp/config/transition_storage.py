@@ -43,12 +43,10 @@ def make_experience(
     """
     replay, kept = cfg.replay, keep_features(cfg, networks)
     augment, priority = build(replay.augment), build(replay.priority)
-    given = make_codec(cfg, networks.values())
-    codec = given
+    given = codec = make_codec(cfg, networks.values())
     if (features := kept.make_transform(augment)) is not None:
-        states = _list_states(cfg, networks.values())
         options = {"feature_dtype": replay.get("feature_dtype", "float16"), "drop_keys": kept.drop_keys}
-        codec = build(replay.codec, state_keys=states, features=features, **options)
+        codec = make_codec(cfg, networks.values(), features=features, **options)
         print(kept)
     row = make_row(codec, augment, shapes)
     check_state_inputs(cfg.model, shapes)
@@ -75,24 +73,21 @@ def make_experience(
     )
 
 
-def make_codec(cfg: DictConfig, networks: Iterable[TensorDictModuleBase]) -> CompactTransitions:
+def make_codec(
+    cfg: DictConfig, networks: Iterable[TensorDictModuleBase], **options: Any
+) -> CompactTransitions:
     """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
-    networks = list(networks)
-    codec = build(cfg.replay.codec, state_keys=_list_states(cfg, networks))
     read = {key for each in networks for key in each.in_keys}
-    if absent := read - {keys.ACTION} - set(codec.observation_keys):
+    states = list(cfg.replay.codec.state_keys)
+    states += [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
+    codec = build(cfg.replay.codec, state_keys=states, **options)
+    if absent := read - {keys.ACTION} - set(codec.given_keys):
         raise ConfigError(
             f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
             "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "
             "replay=images and transforms=rgbd; replay.codec.state_keys must name model.state_inputs."
         )
     return codec
-
-
-def _list_states(cfg: DictConfig, networks: Iterable[TensorDictModuleBase]) -> list:
-    states = list(cfg.replay.codec.state_keys)
-    read = {key for each in networks for key in each.in_keys}
-    return states + [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
 
 
 def make_row(
