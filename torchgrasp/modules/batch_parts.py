@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from torchgrasp.errors import check_whole
+from torchgrasp.modules.pooling import is_traced
 
 # Below it, starting a thread costs more than the thread saves.
 _LEAST_ROWS = 16
@@ -86,10 +87,7 @@ def encode_in_parts(encoder: nn.Module, observed: Tensor) -> Tensor:
 
 
 def _can_be_parted(encoder: nn.Module, observed: Tensor) -> bool:
-    elsewhere = torch.compiler.is_compiling() or torch.is_inference_mode_enabled()
-    elsewhere = elsewhere or torch.is_autocast_enabled("cpu")
-    functorch: Any = torch._C._functorch  # pyright: ignore[reportAttributeAccessIssue]
-    elsewhere = elsewhere or functorch.peek_interpreter_stack()
+    elsewhere = is_traced() or torch.is_inference_mode_enabled() or torch.is_autocast_enabled("cpu")
     large = observed.ndim > 2 and _count_parts(observed) > 1
     if elsewhere or not large or observed.device.type != "cpu":
         return False

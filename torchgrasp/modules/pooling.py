@@ -32,7 +32,7 @@ def max_over_rows(layers: nn.Module, rows: Tensor, *, independent: bool = True) 
     `independent` says that `layers` treat each row on its own (linear, activation, LayerNorm; not
     BatchNorm): otherwise every row passes with a graph.
     """
-    if not independent or _is_traced():
+    if not independent or is_traced():
         return _max_of_all(layers, rows)
     if rows.is_cuda:
         return _max_over_winners(layers, rows)
@@ -54,7 +54,7 @@ def max_over_neighbours(
         weights, biases = zip(*linears, strict=True)
         return ball_max(points, centres, index, weights, biases, _type_of_products(points))
     (clouds, num_centres, k), num_points = index.shape, points.shape[1]
-    if not independent or _is_traced() or points.is_cuda:
+    if not independent or is_traced() or points.is_cuda:
         return _max_of_all(layers, group(points, index) - centres[:, :, None])
     first = num_points * torch.arange(clouds, device=index.device)[:, None, None]
     neighbour = (index + first).flatten()
@@ -102,7 +102,7 @@ def _type_of_products(points: Tensor) -> torch.dtype:
     return torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else points.dtype
 
 
-def _is_traced() -> bool:
+def is_traced() -> bool:
     """Whether rows may not be chosen by their values: functorch or a compiler traces."""
     return torch.compiler.is_compiling() or _is_transformed()
 
