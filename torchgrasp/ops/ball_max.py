@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
-import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 
 import torch
 from torch import Tensor
 from torch.utils._pytree import tree_flatten, tree_map, tree_unflatten
+
+from torchgrasp.ops.cuda import succeeds
 
 
 def serves(points: Tensor) -> bool:
@@ -176,17 +177,9 @@ def _works_on(device: torch.device) -> bool:
 @functools.cache
 def _tried(device: torch.device) -> bool:
     """Whether values and gradients of a small problem on this device are those of the definition."""
-    try:
-        check_against_dense(device)
-    except Exception as error:  # Triton needs a C compiler and fails in many ways
-        warnings.warn(
-            f"torchgrasp's kernels of a network over balls do not work on {device} ({type(error).__name__}: "
-            f"{error}); slower torch operations, which take more memory, take their place. They need Triton, "
-            "which comes with torch, and a C compiler.",
-            stacklevel=2,
-        )
-        return False
-    return True
+    check = functools.partial(check_against_dense, device)
+    instead = "slower torch operations, which take more memory,"
+    return succeeds(check, "kernels of a network over balls", device, instead=instead)
 
 
 def check_against_dense(device: torch.device) -> None:

@@ -1,9 +1,10 @@
-"""Whether the kernels of `kernels` work on a device: tried once, against `dense`."""
+"""Whether Triton kernels work on a device: tried once, and those of `kernels` against `dense`."""
 
 from __future__ import annotations
 
 import functools
 import warnings
+from collections.abc import Callable
 from types import ModuleType
 
 import torch
@@ -25,18 +26,31 @@ def cuda_kernels(xyz: Tensor) -> ModuleType | None:
 @functools.cache
 def _tried_kernels(device: torch.device) -> ModuleType | None:
     """The kernels, if what they say of a small cloud on this device is what `dense` says."""
-    try:
+
+    def check() -> None:
         from torchgrasp.ops import kernels
 
         check_against_dense(kernels, device)
+
+    if not succeeds(check, "point kernels", device, instead="slower torch operations"):
+        return None
+    from torchgrasp.ops import kernels
+
+    return kernels
+
+
+def succeeds(check: Callable[[], None], what: str, device: torch.device, *, instead: str) -> bool:
+    """Whether a check of kernels passes; a warning says where it does not, and what takes their place."""
+    try:
+        check()
     except Exception as error:  # Triton needs a C compiler and fails in many ways
         warnings.warn(
-            f"torchgrasp's point kernels do not work on {device} ({type(error).__name__}: {error}); slower "
-            "torch operations take their place. They need Triton, which comes with torch, and a C compiler.",
-            stacklevel=2,
+            f"torchgrasp's {what} do not work on {device} ({type(error).__name__}: {error}); {instead} take "
+            "their place. They need Triton, which comes with torch, and a C compiler.",
+            stacklevel=3,
         )
-        return None
-    return kernels
+        return False
+    return True
 
 
 def check_against_dense(kernels: ModuleType, device: torch.device) -> None:
