@@ -15,12 +15,13 @@ from torchgrasp.config.training_checks import check_training
 from torchgrasp.config.transition_storage import make_experience
 
 FOLDER = ROOT / "conf" / "experiment"
-SCALES = ("laptop", "minutes", "paper", "smoke")
 CELLS = sorted(
     str(path.relative_to(FOLDER).with_suffix(""))
     for path in FOLDER.glob("*/*.yaml")
     if path.parent.name != "parts"
 )
+# The slow ones say the same at other sizes.
+SCALES = ["laptop", "paper", *(pytest.param(each, marks=pytest.mark.slow) for each in ("minutes", "smoke"))]
 _AUX = ("model.actor.goal_prediction", "model.critic.goal_prediction")
 _READ = ("model.actor.goal_input", "model.critic.goal_input")
 _TABLE_5 = {"offline.updates": "auto", "evaluation.grasp_prediction": True}

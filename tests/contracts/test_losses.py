@@ -332,6 +332,12 @@ def test_gradients_of_every_sample_by_vmap(case, batch):
             torch.testing.assert_close(found[name][row], gradient)
 
 
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(each, marks=[pytest.mark.slow] * (each.kind is not GoalAuxLoss)) for each in CASES],
+    ids=lambda case: case.kind.__name__,
+    indirect=True,
+)
 def test_compiled_whole_it_computes_the_same(case, batch):
     loss, plain = case(), case()
     compiled = torch.compile(loss, backend="aot_eager", fullgraph=True)

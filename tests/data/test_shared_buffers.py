@@ -71,6 +71,7 @@ def test_a_shared_buffer_draws_what_collecting_processes_write(tmp_path):
     assert torch.equal(batch["state"], other.sample()["state"])
 
 
+@pytest.mark.slow
 def test_a_mixture_buffer_keeps_its_shares_and_links_under_collecting_processes():
     codec = CompactTransitions(points_key="state", state_keys=("step_count",), gripper_points=False)
     buffer = MixtureReplayBuffer({"online": 60, "expert": 60}, SHARES, batch_size=100, codec=codec)

@@ -102,6 +102,7 @@ def end(process: WarmProcess, number: int) -> str:
     return told
 
 
+@pytest.mark.slow
 def test_a_run_with_workers_is_saved_and_says_how_it_goes_on(tmp_path):
     given = ["total_env_steps=100000", "collector.num_workers=1", "collector.overlap=true"]
     process = start("td3_bc", tmp_path, *SMOKE, *given)

@@ -16,7 +16,9 @@ def find_sweep(root: Path) -> Path:
 
 
 def test_two_seeds_train_one_fails_and_the_rest_is_compared(run_recipe, tmp_path):
-    code, out, err = run_recipe("td3_bc", *SMOKE, "seed=0,1", "pretrain.steps=6,-1", "-m")
+    code, out, err = run_recipe(
+        "td3_bc", *SMOKE, "total_env_steps=0", "seed=0,1", "pretrain.steps=6,-1", "-m"
+    )
     assert code == 1, err
     assert "2 of 4 jobs finished" in out and out.count(" failed: output_dir=") == 2
     assert err.count("error: job") == 2 and "Traceback" not in err

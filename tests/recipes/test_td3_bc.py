@@ -121,6 +121,7 @@ def _wait_for_step(root: Path, step: int, process: WarmProcess | subprocess.Pope
     raise AssertionError(f"no step {step} before the run ended with {process.poll()}")
 
 
+@pytest.mark.slow
 def test_a_killed_run_leaves_no_worker_behind(tmp_path):
     process = subprocess.Popen(
         command("td3_bc", tmp_path, "experiment=smoke", "collector.num_workers=1"),
