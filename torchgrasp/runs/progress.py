@@ -74,7 +74,8 @@ class Progress:
     def _print_line(self) -> None:
         self._last = time.monotonic()
         elapsed, done = self._last - self._start, self._done - self._initial
-        to_go = tqdm.format_interval((self._total - self._done) * elapsed / done) if done else "?"
+        left = max(0, self._total - self._done)  # a round of episodes may go beyond the total
+        to_go = tqdm.format_interval(left * elapsed / done) if done else "?"
         prefix = f"{self._description}: " if self._description else ""
         print(
             f"{prefix}{self._done}/{self._total} {self._unit}s, {tqdm.format_interval(elapsed)} elapsed, "
