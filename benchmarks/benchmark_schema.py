@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from torchgrasp.config.schema import Env, OpenSection
 from torchgrasp.config.value_types import Count, Device, Positive, at_least, between
@@ -40,6 +40,7 @@ class Training(OpenSection):
     """Of the suite `training`."""
 
     workers: list[Count]
+    collectors: list[Literal["pool", "ray"]]
     iterations: Positive
     warmup: Count
 

@@ -2,12 +2,32 @@
 
 import pytest
 
-from torchgrasp.config.main_phase import MainPhase, count_rounds
+from torchgrasp.config.main_phase import MainPhase, count_rounds, describe_idle_workers
 
 
 @pytest.mark.parametrize(("episodes", "num_envs", "rounds"), [(14, 7, 2), (14, 1, 14), (15, 7, 3), (2, 7, 1)])
 def test_rounds_give_an_iteration_its_episodes(composed, episodes, num_envs, rounds):
     assert count_rounds(composed(f"collector.episodes={episodes}", f"env.num_envs={num_envs}")) == rounds
+
+
+@pytest.mark.parametrize(
+    ("workers", "worlds", "remedy"),
+    [
+        (3, 7, "env.num_envs=2 makes 7 groups"),
+        (8, 7, "env.num_envs=1 makes 14"),
+        (15, 7, "env.num_envs=1 makes 14"),
+    ],
+)
+def test_workers_without_a_group_of_worlds_are_told_of(composed, workers, worlds, remedy):
+    told = describe_idle_workers(composed(f"collector.num_workers={workers}", f"env.num_envs={worlds}"))
+    assert told is not None and "no more than 2 can be busy" in told and remedy in told
+
+
+def test_workers_that_all_have_work_are_not(composed):
+    assert describe_idle_workers(composed("collector.num_workers=2")) is None
+    assert describe_idle_workers(composed("collector.num_workers=0")) is None
+    told = describe_idle_workers(composed("collector.num_workers=15", "env.num_envs=1"))
+    assert told is not None and told.endswith("no more than 14 can be busy at once.")
 
 
 def test_offline_makes_as_many_updates_as_its_steps_would(composed):

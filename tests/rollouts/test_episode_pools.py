@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import warnings
 from concurrent.futures import CancelledError
 from itertools import count
@@ -111,6 +112,13 @@ def test_exploration_is_the_same_too_and_only_where_asked_for(pool, alone):
     plain, explored = (flat(pool.run("env", policy, [0], explore=explore)) for explore in (False, True))
     assert_same(explored, flat(alone.run("env", policy, [0], explore=True)))
     assert not torch.equal(plain[0].steps["action"][0], explored[0].steps["action"][0])
+
+
+def test_the_time_of_workers_is_counted_and_only_theirs(pool):
+    before, started = pool.work_seconds, time.perf_counter()
+    flat(pool.run("env", RandomAction(seed=4), range(4)))
+    worked, whole = pool.work_seconds - before, time.perf_counter() - started
+    assert worked == 0 if isinstance(pool, SerialPool) else 0 < worked <= 2 * whole
 
 
 def test_an_episode_depends_on_nothing_that_ran_before_it(pool):

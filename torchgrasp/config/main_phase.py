@@ -12,6 +12,23 @@ def count_rounds(cfg: DictConfig) -> int:
     return -(-cfg.collector.episodes // cfg.env.num_envs)
 
 
+def describe_idle_workers(cfg: DictConfig) -> str | None:
+    """What to know where an iteration has fewer groups of worlds than workers; None where all have work."""
+    workers, episodes, groups = cfg.collector.num_workers, cfg.collector.episodes, count_rounds(cfg)
+    if workers <= groups:
+        return None
+    told = (
+        f"{workers} workers share {groups} group{'s' * (groups != 1)} of env.num_envs={cfg.env.num_envs} "
+        f"worlds an iteration (collector.episodes={episodes}): no more than {groups} can be busy at once."
+    )
+    # The most worlds with a group for each worker and as many episodes as now.
+    fitting = (each for each in range(episodes // workers, 1, -1) if episodes % each == 0)
+    worlds = next(fitting, 1)
+    if worlds == cfg.env.num_envs:
+        return told
+    return f"{told} env.num_envs={worlds} makes {episodes // worlds} groups, of other scenes."
+
+
 @dataclass(frozen=True)
 class MainPhase:
     """Measured in updates on demonstrations where a run is offline, else in steps of its own episodes.

@@ -11,7 +11,7 @@ from tensordict import TensorDictBase
 
 from torchgrasp.config.environments import LEARNED_FROM, make_pool, prepare_objects
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
-from torchgrasp.config.main_phase import count_rounds
+from torchgrasp.config.main_phase import count_rounds, describe_idle_workers
 from torchgrasp.config.overrides import plain
 from torchgrasp.config.parts import build
 from torchgrasp.config.run_files import open_run_dir
@@ -62,6 +62,7 @@ class Run(RunState[LearnerT]):
         self.expert_start = build(cfg.collector.expert_start)
         self.stopwatch = Stopwatch()
         self._rounds: Generator[list[Episode], None, None] | None = None
+        self._worked = 0.0  # seconds of the workers before this iteration
         steps = cfg.pretrain.steps
         self._imitation_rate = cosine_schedule(max(1, steps), warmup_steps=min(200, steps // 10))
         milestones = dict.fromkeys(round(1000 * share) for share in cfg.online.milestones)  # may round to one
@@ -139,7 +140,9 @@ class Run(RunState[LearnerT]):
         """From now on `episodes` are those of the actors, in turn by iteration; without any, none."""
         if not actors:
             return
-        length = count_rounds(self.cfg)
+        if self.progress < 1.0 and (note := describe_idle_workers(self.cfg)) is not None:
+            print(note)
+        length, self._worked = count_rounds(self.cfg), self.pool.work_seconds
         self._rounds = collect_rounds(
             self.pool,
             "train",
@@ -217,6 +220,9 @@ class Run(RunState[LearnerT]):
         """Log the iteration with the learner's success rate, and save it in its turn."""
         rate = self.success_rate
         shown = {} if rate is None else {"train/success_rate": rate}
+        worked, self._worked = self._worked, self.pool.work_seconds
+        if self._worked > worked:
+            shown["time/workers_s"] = self._worked - worked
         self._log_terms(**shown, env_steps=self.env_steps)
         self._begin_next_iteration()
         if self.iteration % self.cfg.checkpoint.iterations == 0:

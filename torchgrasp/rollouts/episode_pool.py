@@ -74,6 +74,11 @@ class EpisodePool(ABC):
             explore: whether modules that explore do so.
         """
 
+    @property
+    def work_seconds(self) -> float:
+        """Seconds that workers have spent on episodes, all of them together; 0 where there are none."""
+        return 0.0
+
     @abstractmethod
     def close(self) -> None:
         """End what the pool started."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import time
 import traceback
 import warnings
 from abc import ABC, abstractmethod
@@ -86,6 +87,7 @@ class WorkerPool(EpisodePool):
         for index in reversed(range(num_workers)):
             self._idle.put(index)
         self._workers: dict[int, Worker] = {}
+        self._work_seconds = [0.0] * num_workers  # one thread at a time has a worker
         self._closed = False
 
     @abstractmethod
@@ -131,7 +133,11 @@ class WorkerPool(EpisodePool):
         try:
             while True:
                 try:
-                    return self._find_worker(index).run(task)
+                    worker = self._find_worker(index)
+                    started = time.perf_counter()
+                    packed = worker.run(task)
+                    self._work_seconds[index] += time.perf_counter() - started
+                    return packed
                 except WorkerLostError as death:
                     deaths += 1
                     self._bury(index, task, deaths, death)
@@ -159,6 +165,11 @@ class WorkerPool(EpisodePool):
                 "num_workers; a SerialPool shows other errors."
             )
         warnings.warn(f"{death}: another takes its place and runs {what} again.", stacklevel=1)
+
+    @property
+    def work_seconds(self) -> float:
+        """Seconds that the workers have spent on the episodes they answered, all of them together."""
+        return sum(self._work_seconds)
 
     def close(self) -> None:
         """End the workers, whatever they are at."""
