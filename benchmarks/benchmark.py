@@ -20,6 +20,7 @@ from omegaconf import DictConfig
 from preparation_time import benchmark_preparation
 from replay_buffer import benchmark_replay
 from reset_cost import benchmark_resets
+from scale import benchmark_scale
 from training_throughput import benchmark_training
 from update_pass import benchmark_update
 
@@ -38,6 +39,7 @@ _SUITES = {
     "learner": benchmark_learner,
     "neighbours": benchmark_neighbours,
     "training": benchmark_training,
+    "scale": benchmark_scale,
 }
 # Those that step the environment of this configuration.
 _WITH_OBJECTS = ("env", "resets", "planner")

@@ -45,6 +45,18 @@ class Training(OpenSection):
     warmup: Count
 
 
+class Scale(OpenSection):
+    """Of the suite `scale`."""
+
+    experiment: str
+    overrides: list[str]
+    batches: list[Positive]
+    points: list[Positive]
+    workers: list[Positive] | None
+    repeats: Positive
+    rounds: Positive
+
+
 class Workers(OpenSection):
     """Who prepares objects."""
 
@@ -67,5 +79,6 @@ class Benchmark(OpenSection):
     learner: Learner
     neighbours: Neighbours
     training: Training
+    scale: Scale
     env: Env
     collector: Workers

@@ -138,24 +138,29 @@ def _measure(cfg: DictConfig, name: str, way: str, folder: Path, references: dic
     row: dict[str, Any] = {}
     torch.manual_seed(cfg.seed + 1)
     found: list[dict[str, float]] = []
-    row["first_seconds"] = _seconds(lambda: found.extend(_learn(setting.learner, batches)), device, 1)
+    row["first_seconds"] = measure_seconds(lambda: found.extend(_learn(setting.learner, batches)), device, 1)
     found.append({"weights": _checksum(setting.learner)})
     row["differs"] = _compare(found, references.setdefault(name, found))
     learner, batch = setting.learner, batches[0]
-    fresh = batch.exclude("td_error")
-    kinds = {
-        "imitation": lambda: learner.imitate(fresh),
-        "critic": lambda: learner.update_critic(fresh.copy()),
-        "actor": lambda: learner.update_actor(batch),
-    }
+    kinds = list_updates(learner, batch)
     for kind, update in kinds.items():
-        row[f"{kind}_ms"] = 1e3 * _seconds(update, device, repeats)
-    row["iteration_ms"] = 1e3 * min(_seconds(lambda: _iterate(setting), device, 1) for _ in range(3))
+        row[f"{kind}_ms"] = 1e3 * measure_seconds(update, device, repeats)
+    row["iteration_ms"] = 1e3 * min(measure_seconds(lambda: _iterate(setting), device, 1) for _ in range(3))
     if cfg.learner.profile and device.type == "cuda" and way in cfg.learner.profile:
         print(_profile(kinds["critic"], kinds["actor"]), flush=True)
     if device.type == "cuda":
         row["megabytes"] = torch.cuda.max_memory_reserved() / 2**20
     return row
+
+
+def list_updates(learner: ActorCriticLearner, batch: TensorDictBase) -> dict[str, Callable[[], None]]:
+    """An update of each kind on the batch, by name."""
+    fresh = batch.exclude("td_error")
+    return {
+        "imitation": lambda: learner.imitate(fresh),
+        "critic": lambda: learner.update_critic(fresh.copy()),
+        "actor": lambda: learner.update_actor(batch),
+    }
 
 
 def _learn(learner: ActorCriticLearner, batches: list[TensorDictBase]) -> Iterator[dict[str, float]]:
@@ -203,7 +208,7 @@ def _iterate(setting: _Setting) -> None:
     learner.fetch_terms()
 
 
-def _seconds(function: Callable[[], object], device: torch.device, repeats: int) -> float:
+def measure_seconds(function: Callable[[], object], device: torch.device, repeats: int) -> float:
     """Mean seconds of a call; a GPU has done its part."""
     _wait(device)
     start = time.perf_counter()
@@ -224,10 +229,10 @@ def _report_drawing(name: str, setting: _Setting) -> None:
     for _ in range(3):
         rows = experience.buffer.draw_rows(size).to(device)
     found = {
-        "sample": _seconds(lambda: experience.sample(size), device, 20),
-        "draw_rows": _seconds(lambda: experience.buffer.draw_rows(size), device, 20),
-        "decode_rows here": _seconds(lambda: experience.buffer.decode_rows(rows.copy()), device, 20),
-        "batches": _seconds(lambda: [None for _ in setting.batches(40)], device, 1) / 40,
+        "sample": measure_seconds(lambda: experience.sample(size), device, 20),
+        "draw_rows": measure_seconds(lambda: experience.buffer.draw_rows(size), device, 20),
+        "decode_rows here": measure_seconds(lambda: experience.buffer.decode_rows(rows.copy()), device, 20),
+        "batches": measure_seconds(lambda: [None for _ in setting.batches(40)], device, 1) / 40,
     }
     figures = ", ".join(f"{key} {1e3 * value:.2f}" for key, value in found.items())
     print(f"drawing {name}, ms a batch of {size}: {figures}", flush=True)

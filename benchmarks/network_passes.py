@@ -93,7 +93,7 @@ def measure_pass(make: MakePass, name: str, options: dict) -> dict:
         torch.cuda.empty_cache()
         torch.cuda.reset_peak_memory_stats()
     run, parameters = make(partial(_compiled, encoder) if compiled else encoder, options, device)
-    before, times = _peak_megabytes(device), []
+    before, times = peak_megabytes(device), []
     for _ in range(options["repeats"] + 1):
         start = time.perf_counter()
         with torch.autocast(device.type, dtype=torch.bfloat16, enabled=low):
@@ -104,7 +104,7 @@ def measure_pass(make: MakePass, name: str, options: dict) -> dict:
     return {
         "name": name,
         "seconds": statistics.median(times[1:]),
-        "megabytes": _peak_megabytes(device) - before,
+        "megabytes": peak_megabytes(device) - before,
         "parameters": parameters,
     }
 
@@ -115,7 +115,8 @@ def _compiled(encoder: Encoder, in_channels: int) -> nn.Module:
     return built
 
 
-def _peak_megabytes(device: torch.device) -> float:
+def peak_megabytes(device: torch.device) -> float:
+    """The most that was allocated on a GPU since its peak was reset, or resident in this process so far."""
     if device.type == "cuda":
         return torch.cuda.max_memory_allocated() / 2**20
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

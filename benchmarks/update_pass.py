@@ -21,7 +21,7 @@ def benchmark_update(cfg: DictConfig) -> list[dict]:
     Then each kind of update with frozen encoders, on clouds and on features that are kept.
     """
     rows = compare_encoders(cfg, "update", make_update_pass)
-    return rows + compare_kept(cfg, _make_batch(cfg.clouds.batch, cfg.clouds.points))
+    return rows + compare_kept(cfg, make_batch(cfg.clouds.batch, cfg.clouds.points))
 
 
 def make_update_pass(make: Encoder, options: dict, device: torch.device) -> tuple[Callable[[], None], int]:
@@ -30,7 +30,7 @@ def make_update_pass(make: Encoder, options: dict, device: torch.device) -> tupl
     loss = GraspTD3BCLoss(*networks, action_bound=ACTION_BOUND).to(device)
     targets = StaggeredTargetUpdate(loss)
     optimizer = torch.optim.Adam(loss.parameters(), lr=1e-4)
-    data = _make_batch(options["batch"], options["points"]).to(device)
+    data = make_batch(options["batch"], options["points"]).to(device)
 
     def descend(terms: TensorDict) -> None:
         optimizer.zero_grad(set_to_none=True)
@@ -46,13 +46,14 @@ def make_update_pass(make: Encoder, options: dict, device: torch.device) -> tupl
     return run, sum(p.numel() for p in loss.parameters())
 
 
-def _make_batch(batch: int, points: int) -> TensorDict:
+def make_batch(batch: int, points: int) -> TensorDict:
     """Transitions as the replay buffer gives them, of arbitrary labels."""
     generator = torch.Generator().manual_seed(1)
 
     def state(seed: int) -> dict:
         time_left = torch.rand(batch, 1, generator=generator)
-        return {"points": make_clouds(batch, points, seed=seed), "time_left": time_left}
+        plane = torch.nn.functional.normalize(torch.randn(batch, 4, generator=generator), dim=-1)
+        return {"points": make_clouds(batch, points, seed=seed), "time_left": time_left, "table_plane": plane}
 
     goal = torch.nn.functional.normalize(torch.randn(batch, 4, generator=generator), dim=-1)
     ends = torch.rand(batch, 1, generator=generator)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import Any
+
+from torchgrasp.processes import count_cores
 
 # Share of an iteration below which a wait is not worth a remedy.
 _NOTHING = 0.1
@@ -24,7 +25,7 @@ def tell_who_waits(row: Mapping[str, Any], groups: int) -> str:
 
 
 def _remedy(workers: int, groups: int) -> str:
-    cores = os.cpu_count() or 1
+    cores = count_cores()
     if workers > groups:
         return "more groups of worlds help"
     with_groups = " with more groups of worlds" if workers == groups else ""

@@ -7,7 +7,7 @@ from kept_update import compare_kept
 from neighbours import measure_neighbours
 from network_passes import make_clouds, measure_pass
 from omegaconf import OmegaConf
-from update_pass import _make_batch, make_update_pass
+from update_pass import make_batch, make_update_pass
 
 OPTIONS = {"batch": 2, "points": 64, "repeats": 1, "threads": 1, "device": "cpu"}
 
@@ -30,7 +30,7 @@ def test_every_encoder_runs(make, names):
 
 def test_updates_on_kept_features_are_the_faster():
     cfg = OmegaConf.create({"clouds": {"threads": torch.get_num_threads(), "repeats": 1}})
-    anew, kept = compare_kept(cfg, _make_batch(32, 512))
+    anew, kept = compare_kept(cfg, make_batch(32, 512))
     assert all(anew[kind] > kept[kind] > 0 for kind in ("imitation", "critic", "actor"))
 
 

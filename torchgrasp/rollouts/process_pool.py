@@ -18,7 +18,7 @@ from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, Worke
 
 # Workers are copies of one process that has imported what they need and done nothing else: a fork of this one
 # would share its threads and physics, and one spawned anew imports for eight seconds.
-_COPIES = get_context("forkserver")
+COPIES = get_context("forkserver")
 _IMPORTED = ["torchgrasp.rollouts", "torchgrasp.envs", "torchgrasp.planning", "torchgrasp.modules"]
 _SERVER_IS_GONE = 255  # the exit code that multiprocessing gives to its children then
 _STARTING = threading.Lock()  # multiprocessing keeps its children in a list without one
@@ -57,12 +57,12 @@ class ProcessWorker(Worker):
     """
 
     def __init__(self, index: int, runner: bytes) -> None:
-        self._pipe, theirs = _COPIES.Pipe()
+        self._pipe, theirs = COPIES.Pipe()
         # A daemon ends with this process, even where nobody closes the pool.
         work = (theirs, runner, dict(os.environ))
-        self._process = _COPIES.Process(target=_serve, args=work, daemon=True)
+        self._process = COPIES.Process(target=_serve, args=work, daemon=True)
         with _STARTING:
-            _start_server()
+            start_server()
             self._process.start()
         theirs.close()  # so that its death closes the pipe
         self._name = f"Worker {index} (process {self._process.pid})"
@@ -84,13 +84,13 @@ class ProcessWorker(Worker):
                 os.kill(self._process.pid, signal.SIGKILL)
 
 
-def _start_server() -> None:
+def start_server() -> None:
     """Have the process that workers are copies of import from where this one does; once is enough."""
     given = {name: os.environ.get(name) for name in ("PYTHONPATH", "PYTHONSAFEPATH")}
     os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
     os.environ["PYTHONSAFEPATH"] = "1"
     try:
-        _COPIES.set_forkserver_preload(_IMPORTED)
+        COPIES.set_forkserver_preload(_IMPORTED)
         forkserver.ensure_running()
     finally:
         for name, value in given.items():
