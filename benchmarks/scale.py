@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from itertools import chain
@@ -65,10 +65,8 @@ def _measure_updates(cfg: DictConfig) -> Iterator[dict]:
 
 
 def _measure_workers(cfg: DictConfig) -> Iterator[dict]:
-    """Each number of workers: those given, or as many as there are cores for."""
-    counts = cfg.scale.workers
-    if counts is None:
-        counts = [each for each in _WORKERS if each <= count_cores()]
+    """Each number of workers."""
+    counts = choose_workers(cfg.scale.workers, count_cores())
     if not counts:
         return
     chosen = _compose(cfg)
@@ -143,6 +141,11 @@ def _make_policy(chosen: DictConfig) -> Policy:
     seed_everything(chosen.seed)
     modules: list = [make_expert(chosen, "train", execute=False), make_actor_critic(chosen).actor]
     return copy_for_rollouts(TensorDictSequential(*modules, build(chosen.collector.noise)))
+
+
+def choose_workers(given: Sequence[int] | None, cores: int) -> list[int]:
+    """The numbers of workers given, or those that there are cores for."""
+    return [each for each in _WORKERS if each <= cores] if given is None else list(given)
 
 
 def measure_rollouts(chosen: DictConfig, policy: Policy, workers: int, rounds: int) -> dict[str, float]:

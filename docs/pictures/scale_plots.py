@@ -60,9 +60,12 @@ def _machine(result: dict[str, Any], device: str) -> str:
 
 
 def _label(axes: Axes, over: str, label: str) -> None:
-    """Both axes double from line to line; their ticks are the sizes measured."""
-    axes.set_xscale("log", base=2)
-    axes.set_yscale("log", base=2)
+    """Sizes that were measured as ticks; updates double from line to line, rollouts begin at zero."""
+    if over == "workers":
+        axes.set_ylim(bottom=0.0)
+    else:
+        axes.set_xscale("log", base=2)
+        axes.set_yscale("log", base=2)
     sizes = sorted({float(x) for line in axes.lines for x in line.get_xdata()})  # pyright: ignore
     axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
     axes.minorticks_off()

@@ -1,0 +1,44 @@
+"""Pictures of the documentation are shown, with words for who does not see them; plots show their figures."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from torchgrasp.report.plots import can_plot
+
+_ROOT = Path(__file__).parents[2]
+_PICTURES = _ROOT / "docs" / "pictures"
+_SHOWN = re.compile(r"!\[([^\]]*)\]\([^)]*?pictures/([^)]+)\)")
+
+
+def test_every_picture_is_shown_with_words():
+    pages = [_ROOT / "README.md", *(_ROOT / "docs").rglob("*.md")]
+    words = {file: told for page in pages for told, file in _SHOWN.findall(page.read_text())}
+    pictures = {path.name for path in _PICTURES.iterdir() if path.suffix in (".png", ".jpg")}
+    assert words.keys() == pictures
+    assert all(len(told.split()) > 3 for told in words.values())
+
+
+@pytest.mark.skipif(not can_plot(), reason="needs the extra viz")
+def test_plots_of_scale_show_the_figures_of_each_machine():
+    spec = importlib.util.spec_from_file_location("scale_plots", _PICTURES / "scale_plots.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    sizes = {"batch": (32, 64), "points": (128, 256)}
+    rows = [
+        {"over": over, "what": "critic", "device": "cuda", over: size, "milliseconds": size, "megabytes": 1.0}
+        for over, both in sizes.items()
+        for size in both
+    ]
+    rollouts = {"over": "workers", "what": "rollouts", "device": "cpu", "workers": 1}
+    rows.append({**rollouts, "env_steps_per_second": 140.0, "megabytes": 500.0})
+    hardware = {"cores": 16, "accelerators": ["NVIDIA H100 80GB HBM3"]}
+    figure = module.plot_scale([{"rows": rows, "hardware": hardware}])
+    milliseconds, _, speed = figure.axes[:3]
+    assert milliseconds.lines[0].get_xydata().tolist() == [[32, 32], [64, 64]]
+    assert speed.lines[0].get_xydata().tolist() == [[1, 140]]
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["critic, H100", "rollouts, 16-core CPU"]
