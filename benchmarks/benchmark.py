@@ -56,7 +56,7 @@ def benchmark(cfg: DictConfig) -> dict:
     result = {"suite": cfg.suite, "rows": _SUITES[cfg.suite](cfg)}
     result |= {"hardware": hardware(), "versions": versions()}
     files = {"benchmark.json": json.dumps(result, indent=2)}
-    run_dir = make_run_dir("benchmark", root=cfg.output_dir, files=files)
+    run_dir = make_run_dir("benchmark", root=str(cfg.output_dir), files=files)
     print(f"Written to {run_dir}/benchmark.json")
     return result
 

@@ -34,7 +34,7 @@ def benchmark_replay(cfg: DictConfig) -> dict:
     check_whole("transitions", cfg.transitions, _EXPERT_PART * _HORIZON)
     size = estimate_bytes(cfg.transitions, num_points=_NUM_POINTS, prioritised=True)
     print(f"{cfg.transitions} transitions take {size / 1e9:.2f} GB, and as much of disk when they are saved")
-    with _scratch(cfg.output_dir) as scratch:
+    with _scratch(str(cfg.output_dir)) as scratch:
         check_space(cfg.transitions, size // cfg.transitions, folder=scratch)
         saved = scratch / "checkpoint"
         # The first buffer is given up before the second takes as much.

@@ -28,7 +28,7 @@ from torchgrasp.interruption import noted
 
 def run(cfg: DictConfig) -> dict:
     """Collect into `demonstrations.path`, by default outputs/demonstrations; returns the card."""
-    path = Path(cfg.demonstrations.path or Path(cfg.output_dir) / "demonstrations")
+    path = Path(str(cfg.demonstrations.path or f"{cfg.output_dir}/demonstrations"))
     check_training(cfg)
     make_row(build(cfg.replay.codec), None, observed_shapes(cfg))  # refuses what cannot be kept
     try_folder(path)

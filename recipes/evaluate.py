@@ -44,7 +44,7 @@ def evaluate(cfg: DictConfig) -> dict:
     if cfg.video.episodes:
         check_video_tools()
     observed_shapes(cfg)
-    try_folder(cfg.output_dir)
+    try_folder(str(cfg.output_dir))
     name, scenes = str(cfg.policy), describe_scenes(cfg)
     policy = make_policy(cfg, name)
     predictors = make_predictors(cfg, name) if cfg.grasp_prediction else {}

@@ -134,14 +134,14 @@ def descend(optimizer: torch.optim.Optimizer, terms: TensorDictBase) -> None:
 def main(cfg: DictConfig) -> None:
     """Learn from each seed, and print and write the table."""
     check_values(cfg, Pendulum)
-    try_folder(cfg.output_dir)
+    try_folder(str(cfg.output_dir))
     rows = {}
     print("seed  return before  return after  seconds", flush=True)
     for seed in [cfg.seeds] if isinstance(cfg.seeds, int) else cfg.seeds:
         rows[seed] = row = train(cfg, seed)
         print(f"{seed:4d}  {row['before']:13.0f}  {row['after']:12.0f}  {row['seconds']:7.0f}", flush=True)
     result = {"rows": rows, "versions": versions(), "hardware": hardware()}
-    make_run_dir("pendulum", root=cfg.output_dir, files={"pendulum.json": json.dumps(result, indent=2)})
+    make_run_dir("pendulum", root=str(cfg.output_dir), files={"pendulum.json": json.dumps(result, indent=2)})
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """A run's directory and configuration, made and taken up again."""
 
 import json
+from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
@@ -30,6 +31,14 @@ def test_a_resumed_run_has_its_configuration_changed_by_what_was_given(on_comman
     assert open_run_dir(cfg, "td3_bc") == run_dir
     with pytest.raises(ConfigError, match="does not go with experiment=paper"):
         training_config(on_command_line(f"resume={run_dir}", "experiment=paper"), "td3_bc")
+
+
+def test_folders_may_have_numbers_for_names(composed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run_dir = open_run_dir(composed("experiment=smoke", "output_dir=2026"), "td3_bc")
+    assert run_dir.parent.parent == Path("2026")
+    run_dir.rename("1.5")
+    assert training_config(composed("resume=1.5"), "td3_bc").resume == "1.5"
 
 
 def test_experiments_and_runs_of_another_recipe_are_refused(composed, tmp_path):

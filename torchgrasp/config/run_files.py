@@ -33,10 +33,11 @@ def training_config(cfg: DictConfig, recipe: str) -> DictConfig:
         raise ConfigError(f"This experiment is for the recipe {cfg.recipe}: run it by that, not by {recipe}.")
     if cfg.resume is not None:
         check_section("", {"resume": plain(cfg.resume), "trust": plain(cfg.trust)}, Resumption)
-        stored = _read(Path(str(cfg.resume)) / _UNRESOLVED, f"resume={cfg.resume}", recipe, cfg.trust)
-        if checkpoint_exists(cfg.resume):
-            check_format(Path(cfg.resume) / "checkpoint")
-        cfg = merge(stored, given_values(f"resume={cfg.resume}"), {"resume": cfg.resume})
+        folder = Path(str(cfg.resume))  # a name of digits is read as a number
+        stored = _read(folder / _UNRESOLVED, f"resume={folder}", recipe, cfg.trust)
+        if checkpoint_exists(folder):
+            check_format(folder / "checkpoint")
+        cfg = merge(stored, given_values(f"resume={folder}"), {"resume": str(folder)})
     check_training(cfg)
     check_exploration(cfg, "noise", f"the recipe {recipe}")
     return cfg
@@ -50,7 +51,7 @@ def open_run_dir(cfg: DictConfig, recipe: str) -> Path:
     files = {"config.yaml": OmegaConf.to_yaml(cfg, resolve=True)}
     if "resume" in cfg:
         files[_UNRESOLVED] = seal_text(OmegaConf.to_yaml(cfg))
-    run_dir = make_run_dir(recipe, root=cfg.output_dir, files=files)
+    run_dir = make_run_dir(recipe, root=str(cfg.output_dir), files=files)
     note_run(run_dir)
     return run_dir
 
