@@ -68,6 +68,13 @@ def test_a_network_that_starts_at_zero_gets_finite_poses_and_gradients():
     assert torch.isfinite(pose).all() and torch.isfinite(goal.grad).all()
 
 
+def test_quaternions_turn_as_romas_do_and_those_of_no_length_turn_nothing():
+    quaternions = torch.randn(64, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
+    expected = roma.unitquat_to_rotmat(quaternions / quaternions.norm(dim=-1, keepdim=True))
+    assert torch.allclose(geo.quaternion_to_rotation(quaternions), expected, atol=1e-12)
+    assert torch.equal(geo.quaternion_to_rotation(torch.zeros(4)), torch.eye(3))
+
+
 @pytest.mark.parametrize("roll", [0.0, 1.0, -2.5])
 def test_look_along_is_a_rotation_whose_z_axis_is_the_direction(roll):
     direction = torch.cat((torch.randn(20, 3, dtype=F64), torch.tensor([[0, 0, 2.0], [0, 0, -1.0]]).double()))

@@ -73,15 +73,21 @@ def transform_points(T_a_b: Tensor, points: Tensor) -> Tensor:
     return points @ T_a_b[..., :3, :3].transpose(-1, -2) + T_a_b[..., None, :3, 3]
 
 
-def action_to_pose(action: Tensor) -> Tensor:
-    """(*, 6) action (metres, intrinsic XYZ Euler radians) to the (*, 4, 4) relative pose T_t_t+1."""
-    (ca, cb, cc), (sa, sb, sc) = action[..., 3:6].cos().unbind(-1), action[..., 3:6].sin().unbind(-1)
+def euler_to_rotation(angles: Tensor) -> Tensor:
+    """(*, 3) intrinsic XYZ Euler angles (radians) to (*, 3, 3) rotations."""
+    (ca, cb, cc), (sa, sb, sc) = angles.cos().unbind(-1), angles.sin().unbind(-1)
+    sa_sb, ca_sb = sa * sb, ca * sb
     rows = (
         *(cb * cc, -cb * sc, sb),
-        *(ca * sc + sa * sb * cc, ca * cc - sa * sb * sc, -sa * cb),
-        *(sa * sc - ca * sb * cc, sa * cc + ca * sb * sc, ca * cb),
+        *(ca * sc + sa_sb * cc, ca * cc - sa_sb * sc, -sa * cb),
+        *(sa * sc - ca_sb * cc, sa * cc + ca_sb * sc, ca * cb),
     )
-    return make_pose(torch.stack(rows, dim=-1).reshape(*action.shape[:-1], 3, 3), action[..., :3])
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+
+def action_to_pose(action: Tensor) -> Tensor:
+    """(*, 6) action (metres, intrinsic XYZ Euler radians) to the (*, 4, 4) relative pose T_t_t+1."""
+    return make_pose(euler_to_rotation(action[..., 3:6]), action[..., :3])
 
 
 def pose_to_action(pose: Tensor) -> Tensor:
@@ -93,15 +99,24 @@ def pose_to_action(pose: Tensor) -> Tensor:
     return torch.cat((pose[..., :3, 3], torch.stack((a, b, c), dim=-1)), dim=-1)
 
 
-def goal_to_pose(goal: Tensor) -> Tensor:
-    """(*, 7) goal (metres, quaternion xyzw of any non-zero length) to a (*, 4, 4) pose.
+def quaternion_to_rotation(quaternion: Tensor) -> Tensor:
+    """(*, 4) quaternions xyzw of any non-zero length to (*, 3, 3) rotations.
 
-    A quaternion shorter than 1e-6 stands for no rotation worth naming and its length is clamped,
-    so that the gradient stays finite where a network starts at zero.
+    The length of one shorter than 1e-6 is clamped, so that the gradient stays finite where a network
+    starts at zero; there it turns nothing.
     """
-    quaternion = goal[..., 3:7]
-    norm = quaternion.norm(dim=-1, keepdim=True).clamp_min(1e-6)
-    return make_pose(roma.unitquat_to_rotmat(quaternion / norm), goal[..., :3])
+    length = torch.linalg.vector_norm(quaternion, dim=-1, keepdim=True).clamp_min(1e-6)
+    unit = quaternion / length
+    axes = torch.eye(3, dtype=unit.dtype, device=unit.device).expand(*unit.shape[:-1], 3, 3)
+    # With q = (v, w), a vector p becomes p + 2 (w (v x p) + v x (v x p)); those of the axes are columns.
+    v, w = unit[..., None, :3].expand_as(axes), unit[..., None, 3:]
+    normal = torch.linalg.cross(v, axes)
+    return (axes + 2.0 * (w * normal + torch.linalg.cross(v, normal))).mT
+
+
+def goal_to_pose(goal: Tensor) -> Tensor:
+    """(*, 7) goal (metres, quaternion xyzw of any non-zero length) to a (*, 4, 4) pose."""
+    return make_pose(quaternion_to_rotation(goal[..., 3:7]), goal[..., :3])
 
 
 def pose_to_goal(pose: Tensor) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal
 
 import torch
@@ -11,10 +12,9 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import (
     ACTION_SIZE,
     GOAL_SIZE,
-    action_to_pose,
-    goal_to_pose,
+    euler_to_rotation,
     gripper_control_points,
-    transform_points,
+    quaternion_to_rotation,
 )
 
 PointNorm = Literal["l1", "l2"]
@@ -34,12 +34,18 @@ def pose_distance(T1: Tensor, T2: Tensor, points: Tensor | None = None, *, norm:
     """
     check_norm(norm)
     T1, T2 = _one_dtype(T1, T2)
+    difference = T1 - T2
+    return _mean_length(difference[..., :3, :3], difference[..., :3, 3], points, norm)
+
+
+def _mean_length(rotation: Tensor, translation: Tensor, points: Tensor | None, norm: PointNorm) -> Tensor:
+    """Mean over X_g of ||(R1 - R2) x + t1 - t2||, of the differences (*, 3, 3) and (*, 3): (*) metres."""
     if points is None:
-        points = gripper_control_points(dtype=T1.dtype, device=T1.device)
-    difference = transform_points(T1, points) - transform_points(T2, points)  # (*, M, 3)
+        points = gripper_control_points(dtype=rotation.dtype, device=rotation.device)
+    difference = rotation @ points.mT + translation.unsqueeze(-1)  # (*, 3, M)
     if norm == "l1":
-        return difference.abs().sum(dim=-1).mean(dim=-1)
-    return torch.linalg.vector_norm(difference, dim=-1).mean(dim=-1)
+        return difference.abs().sum(dim=-2).mean(dim=-1)
+    return torch.linalg.vector_norm(difference, dim=-2).mean(dim=-1)
 
 
 def check_norm(norm: str) -> None:
@@ -51,13 +57,23 @@ def check_norm(norm: str) -> None:
 def action_distance(action: Tensor, other: Tensor, *, norm: PointNorm = "l1") -> Tensor:
     """L_POSE between (*, 6) actions, metres and Euler angles (Sec. 6.4): (*) metres."""
     _check_size("action_distance", ACTION_SIZE, action, other, remedy="distance=")
-    return pose_distance(*map(action_to_pose, _one_dtype(action, other)), norm=norm)
+    return _vector_distance(action, other, euler_to_rotation, norm)
 
 
 def goal_distance(goal: Tensor, other: Tensor, *, norm: PointNorm = "l1") -> Tensor:
     """L_POSE between (*, 7) goals, metres and quaternion xyzw of either sign: (*) metres."""
     _check_size("goal_distance", GOAL_SIZE, goal, other, remedy="goal_distance= (distance= of GoalAuxLoss)")
-    return pose_distance(*map(goal_to_pose, _one_dtype(goal, other)), norm=norm)
+    return _vector_distance(goal, other, quaternion_to_rotation, norm)
+
+
+def _vector_distance(
+    first: Tensor, second: Tensor, to_rotation: Callable[[Tensor], Tensor], norm: PointNorm
+) -> Tensor:
+    """L_POSE between (*, 3 + R) vectors, metres and what `to_rotation` takes: (*) metres."""
+    check_norm(norm)
+    first, second = torch.broadcast_tensors(*_one_dtype(first, second))
+    rotations = to_rotation(torch.stack((first, second))[..., 3:])  # of both at once: half the operations
+    return _mean_length(rotations[0] - rotations[1], first[..., :3] - second[..., :3], None, norm)
 
 
 def masked_mean(values: Tensor, mask: Tensor | None = None, weights: Tensor | None = None) -> Tensor:
