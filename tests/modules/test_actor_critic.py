@@ -236,3 +236,14 @@ def test_state_dict_round_trip():
 def test_wrong_options_are_refused(wrong, message):
     with pytest.raises(ConfigError, match=message):
         wrong()
+
+
+def test_what_is_not_asked_for_is_not_computed_and_the_rest_is_the_same():
+    actor, critic, batch = GraspActor(SMALL), GraspCritic(SMALL, num_q=3), _batch(5)
+    action = actor(batch.copy(), predict_goal=False)
+    assert "goal_prediction" not in action and torch.equal(action["action"], actor(batch.copy())["action"])
+    whole = critic(batch.copy())
+    for heads in (slice(0, 1), slice(1, None)):
+        part = critic(batch.copy(), predict_goal=False, values=heads)
+        assert "goal_prediction" not in part
+        assert torch.equal(part["state_action_value"], whole["state_action_value"][:, heads])

@@ -329,3 +329,26 @@ def test_wrong_use_says_what_to_do(constant_actor, constant_critic, batch):
     for side in ("actor_loss", "critic_loss"):
         with pytest.raises(ConfigError, match=r"'action', which its network .* set_keys\(action="):
             getattr(_loss(other, constant_critic()), side)(batch)
+
+
+@pytest.mark.parametrize("num_q", [1, 2])
+def test_networks_that_compute_what_is_asked_give_what_others_do(batch, num_q):
+    """The same modules as a GraspCritic and as one that always computes everything."""
+    batch, found = _grasp_batch(batch), []
+    for foreign in (False, True):
+        torch.manual_seed(0)
+        networks = [GraspActor(_encoder, hidden=8), GraspCritic(_encoder, hidden=8, num_q=num_q)]
+        if foreign:
+            networks = [TensorDictModule(n.module, in_keys=n.in_keys, out_keys=n.out_keys) for n in networks]
+        loss = _loss(*networks)
+        loss.target_delayed_critic_network_params.data.mul_(1.1)
+        torch.manual_seed(1)
+        out = loss(batch.copy())
+        sum(value for key, value in out.items() if key.startswith("loss_")).backward()
+        found.append((out.detach(), [p.grad for p in loss.parameters() if p.grad is not None]))
+    (ours, gradients), (theirs, expected) = found
+    assert ours.keys() == theirs.keys() and all(
+        torch.equal(value, theirs[key]) for key, value in ours.items()
+    )
+    for gradient, other in zip(gradients, expected, strict=True):
+        assert torch.equal(gradient, other)

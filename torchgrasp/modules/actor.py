@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tensordict.nn import TensorDictModule
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
@@ -24,14 +23,15 @@ from torchgrasp.modules.heads import (
     head,
 )
 from torchgrasp.modules.layers import shrink_last_layer
+from torchgrasp.modules.network import GraspNetwork
 
 
-class GraspActor(TensorDictModule):
+class GraspActor(GraspNetwork):
     """Reads a cloud (*, N, C) and time left (*, 1); writes the action (*, 6) and the goal (*, 7).
 
     The action is bounded by tanh: relative ee pose, metres and Euler angles; the goal is the final
     grasp in the ee frame, metres and unit quaternion xyzw. `goal_input` and `goal_prediction` are the
-    actor's part of Table 2.
+    actor's part of Table 2. ``actor(td, predict_goal=False)`` computes the action alone.
 
     Args:
         encoder: module from (*, N, C) clouds or (*, C, H, W) images to (*, F) with an attribute
@@ -120,7 +120,11 @@ class _ActorNetwork(EncoderNetwork):
         self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
         self.register_buffer("bound", bound)
 
-    def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+    def forward(
+        self, observed: Tensor, *vectors: Tensor, predict_goal: bool = True
+    ) -> Tensor | tuple[Tensor, Tensor]:
         feature = self.encode(observed, *vectors, dtype=self.bound.dtype)
         action = self.bound * self.action_head(feature).tanh()
-        return action if self.goal_head is None else (action, self.goal_head(feature))
+        if self.goal_head is None or not predict_goal:
+            return action
+        return action, self.goal_head(feature)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Literal
 
 import torch
-from tensordict.nn import TensorDictModule
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
@@ -28,15 +27,17 @@ from torchgrasp.modules.heads import (
     head,
     join_channels,
 )
+from torchgrasp.modules.network import GraspNetwork
 
 
-class GraspCritic(TensorDictModule):
+class GraspCritic(GraspNetwork):
     """Reads a cloud (*, N, C), time left (*, 1) and action (*, A); writes (*, num_q) values, (*, 7) goal.
 
     Early fusion, the paper's choice, writes the action beside every point's features, or as constant
     channels of an image, so that the encoder sees what the action does to the cloud; late fusion joins
     it to the cloud's feature (an ablation, and worse). Actions are divided by their bounds first.
     Q-values are not squashed. `goal_input` and `goal_prediction` are the critic's part of Table 2.
+    ``critic(td, predict_goal=False, values=slice(0, 1))`` computes the first value alone.
 
     TorchRL's own losses take it, by vmap as well; ``deactivate_vmap=True`` is faster there, because under
     vmap every row of a cloud carries a graph.
@@ -144,12 +145,20 @@ class _CriticNetwork(EncoderNetwork):
         self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
         self.register_buffer("bound", bound)
 
-    def forward(self, observed: Tensor, *vectors: Tensor) -> Tensor | tuple[Tensor, Tensor]:
+    def forward(
+        self,
+        observed: Tensor,
+        *vectors: Tensor,
+        predict_goal: bool = True,
+        values: slice = slice(None),
+    ) -> Tensor | tuple[Tensor, Tensor]:
         action, vectors = vectors[-1] / self.bound, vectors[:-1]
         if self.reads_action_early:
             observed = join_channels(observed, action, self.channel_dim)
         else:
             vectors = (action, *vectors)
         feature = self.encode(observed, *vectors, dtype=self.bound.dtype)
-        values = torch.cat([value_head(feature) for value_head in self.value_heads], dim=-1)
-        return values if self.goal_head is None else (values, self.goal_head(feature))
+        found = torch.cat([value_head(feature) for value_head in list(self.value_heads)[values]], dim=-1)
+        if self.goal_head is None or not predict_goal:
+            return found
+        return found, self.goal_head(feature)

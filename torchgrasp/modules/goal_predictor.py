@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from tensordict.nn import TensorDictModule
 from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
@@ -20,9 +19,10 @@ from torchgrasp.modules.heads import (
     check_inputs,
     check_keys,
 )
+from torchgrasp.modules.network import GraspNetwork
 
 
-class GoalPredictor(TensorDictModule):
+class GoalPredictor(GraspNetwork):
     """Reads a cloud (*, N, C) and time left (*, 1); writes the goal (*, 7) that others read.
 
     The goal is the final grasp in the ee frame, metres and unit quaternion xyzw with w >= 0, as the

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from torchgrasp.errors import ConfigError, check_whole
 from torchgrasp.modules.heads import EncoderNetwork
+from torchgrasp.modules.network import GraspNetwork
 
 
 class GivenFeature(nn.Module):
@@ -58,7 +59,7 @@ class _Look(EncoderNetwork):
 
 def split_network(
     network: TensorDictModuleBase, feature_key: NestedKey
-) -> tuple[TensorDictModule, TensorDictModule]:
+) -> tuple[TensorDictModule, GraspNetwork]:
     """The encoder of a GraspActor, GraspCritic or GoalPredictor, and the network without it.
 
     One after the other they compute what the network does, with its own parameters: what trains the rest
@@ -109,7 +110,7 @@ def split_network(
     rest._modules = {**whole._modules, "encoder": GivenFeature(_size(whole.encoder))}
     return (
         TensorDictModule(look, in_keys=[observed, *plane], out_keys=[feature_key]),
-        TensorDictModule(rest, in_keys=[feature_key, *beside], out_keys=network.out_keys),
+        GraspNetwork(rest, in_keys=[feature_key, *beside], out_keys=network.out_keys),
     )
 
 

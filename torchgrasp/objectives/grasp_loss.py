@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from torchgrasp.errors import ConfigError
+from torchgrasp.modules.network import GraspNetwork
 from torchgrasp.objectives import functional
 
 # Two (*, D) tensors to their (*) distances.
@@ -125,17 +126,21 @@ class GraspLoss(LossModule):
         inputs: TensorDictBase,
         *,
         keep_statistics: bool = False,
+        **part: Any,
     ) -> TensorDictBase:
         """What `network` writes with the given parameters; `inputs` stays as it is.
 
-        With `keep_statistics`, BatchNorm takes its stored statistics and leaves them as they are.
+        With `keep_statistics`, BatchNorm takes its stored statistics and leaves them as they are. `part` are
+        options of a GraspNetwork, which leaves the rest out; other networks compute it all.
         """
         self._require(inputs, network.in_keys, "Add them, or give networks with other in_keys.")
         with (
             _stored_statistics(network, keep_statistics),
             params.to_module(network, preserve_module_state=False),
         ):
-            return network(inputs.select(*network.in_keys))
+            return network(
+                inputs.select(*network.in_keys), **(part if isinstance(network, GraspNetwork) else {})
+            )
 
     def _writes(self, network: TensorDictModuleBase, name: str) -> bool:
         return unravel_key(self._key(name)) in map(unravel_key, network.out_keys)

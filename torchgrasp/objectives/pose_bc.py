@@ -82,7 +82,12 @@ class PoseBCLoss(GraspLoss):
     @dispatch()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """A batch to its losses: `loss_bc`, and `loss_aux` where it has a weight."""
-        written = self._run(self.actor_network, self.actor_network_params, tensordict)
+        written = self._run(
+            self.actor_network,
+            self.actor_network_params,
+            tensordict,
+            predict_goal=self.aux_weight > 0,
+        )
         bc = self._imitation_term(self._written(written, "action"), tensordict, self.distance)
         losses = {"loss_bc": bc}
         if self.aux_weight > 0:

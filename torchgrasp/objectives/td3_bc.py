@@ -189,13 +189,16 @@ class GraspTD3BCLoss(BootstrappedLoss):
     def critic_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The terms of Eq. (3), and the figures `td_error`, `pred_value` and `target_value`."""
         target = self._target_value(tensordict)
-        written = self._run(self.critic_network, self.critic_network_params, tensordict)
+        predicts_goal = self._predicts_goal(self.critic_network)
+        written = self._run(
+            self.critic_network, self.critic_network_params, tensordict, predict_goal=predicts_goal
+        )
         value = self._written(written, "state_action_value")
         error = value - target  # (*, Q)
         mask = self._mask(tensordict, "perturbed", value.shape[:-1])
         mask = None if mask is None else ~mask
         out = {"loss_qvalue": self._reduce(0.5 * error.square().sum(dim=-1), tensordict, mask)}
-        if self._predicts_goal(self.critic_network):
+        if predicts_goal:
             out["loss_critic_aux"] = self._weighted_goal_term(written, tensordict)
         out["td_error"] = self._write_priority(error.detach().abs().amax(dim=-1), tensordict, mask)
         out["pred_value"], out["target_value"] = value.detach().mean(), target.mean()
@@ -220,7 +223,10 @@ class GraspTD3BCLoss(BootstrappedLoss):
 
     def actor_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The terms of Eq. (4)."""
-        written = self._run(self.actor_network, self.actor_network_params, tensordict)
+        predicts_goal = self._predicts_goal(self.actor_network)
+        written = self._run(
+            self.actor_network, self.actor_network_params, tensordict, predict_goal=predicts_goal
+        )
         action = self._written(written, "action")
         out = {}
         if self.bc_weight > 0:
@@ -228,7 +234,7 @@ class GraspTD3BCLoss(BootstrappedLoss):
         if self.bc_weight < 1:
             value = self._first_value(tensordict, action)
             out["loss_actor_ddpg"] = (self.bc_weight - 1) * self._reduce(value, tensordict)
-        if self._predicts_goal(self.actor_network):
+        if predicts_goal:
             out["loss_actor_aux"] = self._weighted_goal_term(written, tensordict)
         return TensorDict(out, [])
 
@@ -237,16 +243,14 @@ class GraspTD3BCLoss(BootstrappedLoss):
         inputs = tensordict.select(*self.critic_network.in_keys, strict=False).set(
             self._key("action"), action
         )
-        params = self.critic_network_params.detach()
-        written = self._run(self.critic_network, params, inputs, keep_statistics=True)
-        return self._written(written, "state_action_value")[..., 0]
+        return self._values(self.critic_network_params.detach(), inputs, slice(0, 1))[..., 0]
 
     @torch.no_grad()
     def _target_value(self, tensordict: TensorDictBase) -> Tensor:
         """Target y of Eq. (3), (*, 1)."""
         following = self._following(tensordict)
         params = self.target_actor_network_params
-        acted = self._run(self.actor_network, params, following, keep_statistics=True)
+        acted = self._run(self.actor_network, params, following, keep_statistics=True, predict_goal=False)
         following.set(self._key("action"), self.smoothing(self._written(acted, "action")))
         least = self._target_values(following).amin(dim=-1, keepdim=True)
         return self._look_ahead(tensordict, least)
@@ -266,14 +270,21 @@ class GraspTD3BCLoss(BootstrappedLoss):
 
     def _target_values(self, following: TensorDictBase) -> Tensor:
         """(*, Q): the first value from the targets that follow, the others from those copied."""
-        values = self._target_pass(self.target_critic_network_params, following)
-        if not self.has_delayed_critic or values.shape[-1] == 1:
+        heads = slice(0, 1) if self.has_delayed_critic else slice(None)
+        values = self._values(self.target_critic_network_params, following, heads)
+        count = getattr(self.critic_network, "num_values", values.shape[-1])
+        if not self.has_delayed_critic or count == 1:
             return values
-        delayed = self._target_pass(self.target_delayed_critic_network_params, following)
-        return torch.cat((values[..., :1], delayed[..., 1:]), dim=-1)
+        others = self._values(self.target_delayed_critic_network_params, following, slice(1, None))
+        return torch.cat((values[..., :1], others[..., 1 - count :]), dim=-1)
 
-    def _target_pass(self, params: TensorDictParams, following: TensorDictBase) -> Tensor:
-        written = self._run(self.critic_network, params, following, keep_statistics=True)
+    def _values(
+        self, params: TensorDictParams | TensorDictBase, inputs: TensorDictBase, heads: slice
+    ) -> Tensor:
+        """(*, q) of a GraspCritic's heads, (*, Q) of any other critic; statistics stay."""
+        written = self._run(
+            self.critic_network, params, inputs, keep_statistics=True, predict_goal=False, values=heads
+        )
         return self._written(written, "state_action_value")
 
     def _predicts_goal(self, network: TensorDictModuleBase) -> bool:
