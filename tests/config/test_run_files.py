@@ -39,6 +39,7 @@ def test_folders_may_have_numbers_for_names(composed, tmp_path, monkeypatch):
     assert run_dir.parent.parent == Path("2026")
     run_dir.rename("1.5")
     assert training_config(composed("resume=1.5"), "td3_bc").resume == "1.5"
+    training_config(composed("experiment=smoke", "demonstrations.path=7"), "td3_bc")
 
 
 def test_experiments_and_runs_of_another_recipe_are_refused(composed, tmp_path):

@@ -41,7 +41,7 @@ def _check_demonstrations(demonstrations: DictConfig, place: str) -> None:
     kind, policy = demonstrations.kind, demonstrations.policy
     with at_place(place):
         resolve_count(demonstrations.count, check_kind(kind))
-    given = demonstrations.path is not None and count_shards(demonstrations.path) > 0
+    given = demonstrations.path is not None and count_shards(str(demonstrations.path)) > 0
     if (kind == "learner") != (policy is not None) and not (given and policy is None):
         raise ConfigError(
             f"{place}.kind={kind} with {place}.policy={policy}: the kind learner needs a policy, a run "
