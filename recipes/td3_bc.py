@@ -1,6 +1,6 @@
 """Goal-auxiliary actor-critic: demonstrations, imitation, reinforcement with DAgger labels, the proof.
 
-python recipes/td3_bc.py                         # minutes on two cores (experiment=laptop)
+python recipes/td3_bc.py                         # a quarter of an hour on two cores
 python recipes/td3_bc.py experiment=paper        # Sec. 6.4 to the letter
 python recipes/td3_bc.py offline.updates=5000    # from demonstrations alone
 python recipes/td3_bc.py resume=outputs/td3_bc/<date_time>

@@ -34,7 +34,7 @@ def resolved(*overrides: str, recipe: str = "td3_bc") -> dict:
     return OmegaConf.to_container(compose_config(*overrides, recipe=recipe), resolve=True)
 
 
-@pytest.mark.parametrize("experiment", ["laptop", "paper", "smoke", "minutes"])
+@pytest.mark.parametrize("experiment", ["laptop", "demo", "paper", "smoke", "minutes"])
 @pytest.mark.parametrize("recipe", ["td3_bc", "bc", "hindsight"])
 def test_our_own_configurations_pass_both(recipe, experiment):
     plain = resolved(f"experiment={experiment}", recipe=recipe)

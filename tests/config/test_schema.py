@@ -12,7 +12,7 @@ def composed(recipe: str, *overrides: str):
     return compose_config(*overrides, recipe=recipe)
 
 
-@pytest.mark.parametrize("experiment", ["laptop", "paper", "smoke", "minutes"])
+@pytest.mark.parametrize("experiment", ["laptop", "demo", "paper", "smoke", "minutes"])
 @pytest.mark.parametrize("recipe", ["td3_bc", "bc", "hindsight"])
 def test_the_configurations_that_come_along_are_fine(recipe, experiment):
     check_values(composed(recipe, f"experiment={experiment}"), Training)
