@@ -32,7 +32,7 @@ def test_workers_that_all_have_work_are_not(composed):
 
 def test_offline_makes_as_many_updates_as_its_steps_would(composed):
     """33,600 steps of 30, 14 episodes an iteration: 80 times 40 updates; 3 M steps: 7143 times 20."""
-    assert MainPhase.of(composed("offline.updates=auto")).length == 80 * 40
+    assert MainPhase.of(composed("experiment=laptop", "offline.updates=auto")).length == 80 * 40
     paper = composed("experiment=paper", "offline.updates=auto")
     assert MainPhase.of(paper).length == 7143 * 20 and MainPhase.of(paper).unit == "update"
 
