@@ -45,6 +45,8 @@ def test_folders_may_have_numbers_for_names(composed, tmp_path, monkeypatch):
 def test_experiments_and_runs_of_another_recipe_are_refused(composed, tmp_path):
     with pytest.raises(ConfigError, match="is for the recipe bc: run it by that, not by td3_bc"):
         training_config(composed("experiment=[smoke,table1/dagger]"), "td3_bc")
+    with pytest.raises(ConfigError, match="is for the recipe None"):
+        training_config(composed("experiment=smoke", "~recipe"), "td3_bc")
     run_dir = open_run_dir(composed("experiment=smoke", recipe="bc"), "bc")
     with pytest.raises(CheckpointError, match="is no run directory of td3_bc"):
         training_config(composed(f"resume={run_dir}"), "td3_bc")

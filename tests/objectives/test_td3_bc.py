@@ -321,6 +321,8 @@ def test_construction_and_use_warn_of_nothing(batch):
 def test_wrong_use_says_what_to_do(constant_actor, constant_critic, batch):
     with pytest.raises(ConfigError, match=r"bc_weight=1\.2"):
         make_loss(constant_actor(), constant_critic(), bc_weight=1.2)
+    with pytest.raises(ConfigError, match="hindsight=nan: give True or False"):
+        make_loss(constant_actor(), constant_critic(), hindsight=float("nan"))
     with pytest.raises(ConfigError, match="same out_keys"):
         make_loss(constant_actor(), [constant_critic(), constant_critic(goal=None)])
     with pytest.raises(ConfigError, match="bc_weight=0"):

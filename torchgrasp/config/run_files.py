@@ -29,8 +29,8 @@ _REMEDY = "restore it from a copy, or begin a new run with init=<run>"
 
 def training_config(cfg: DictConfig, recipe: str) -> DictConfig:
     """The checked configuration: with `resume` that of the run resumed, changed by what was given."""
-    if cfg.recipe != recipe:
-        raise ConfigError(f"This experiment is for the recipe {cfg.recipe}: run it by that, not by {recipe}.")
+    if (named := cfg.get("recipe")) != recipe:  # it may have been deleted
+        raise ConfigError(f"This experiment is for the recipe {named}: run it by that, not by {recipe}.")
     if cfg.resume is not None:
         check_section("", {"resume": plain(cfg.resume), "trust": plain(cfg.trust)}, Resumption)
         folder = Path(str(cfg.resume))  # a name of digits is read as a number

@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 
 from torchgrasp import keys
-from torchgrasp.errors import check_range
+from torchgrasp.errors import ConfigError, check_range
 from torchgrasp.objectives import functional
 from torchgrasp.objectives.bootstrapped_loss import BootstrappedLoss
 from torchgrasp.objectives.grasp_loss import Distance, unique_keys
@@ -129,6 +129,8 @@ class GraspTD3BCLoss(BootstrappedLoss):
         super().__init__(reduction=reduction, use_prioritized_weights=use_prioritized_weights)
         check_range("bc_weight", bc_weight, 0.0, 1.0)
         check_range("aux_weight", aux_weight, 0.0, float("inf"))
+        if not isinstance(hindsight, bool):
+            raise ConfigError(f"hindsight={hindsight}: give True or False.")
         self._adopt_networks(actor_network, critic_network, staggered_targets)
         self.bc_weight, self.aux_weight, self.hindsight = bc_weight, aux_weight, hindsight
         self.distance, self.goal_distance = distance, goal_distance
