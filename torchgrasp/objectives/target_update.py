@@ -97,11 +97,13 @@ def _critic_targets(loss: GraspTD3BCLoss) -> tuple[tuple[Any, Any], list[tuple[A
 
 def _blend(source: Any, target: Any, share: float) -> None:
     """Move each leaf of `target` by `share` of the way to that of `source`; integers jump."""
-    pairs = list(zip(target.values(True, True), source.values(True, True), strict=True))
-    moved = [pair for pair in pairs if share < 1.0 and pair[0].is_floating_point()]
+    moved: list[tuple[Any, Any]] = []
+    for key, value in source.items(True, True):
+        leaf = target.get(key)
+        if share < 1.0 and leaf.is_floating_point():
+            moved.append((leaf, value))
+        else:
+            leaf.copy_(value)
     if moved:
         leaves, values = map(list, zip(*moved, strict=True))
         torch._foreach_lerp_(leaves, values, share)  # pyright: ignore[reportPrivateImportUsage]
-    for leaf, value in pairs:
-        if share == 1.0 or not leaf.is_floating_point():
-            leaf.copy_(value)
