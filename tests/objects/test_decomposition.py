@@ -84,3 +84,15 @@ def test_a_small_body_is_split_no_finer_than_the_whole_needs():
     cup = trimesh.creation.annulus(0.001, 0.002, 0.002, sections=16)
     cup.apply_translation((0.2, 0, 0))
     assert len(convex_parts(*arrays(box((0.1, 0.05, 0.05)), cup), concavity=0.05)) == 2
+
+
+def test_a_thin_wall_gets_no_thicker():
+    """A cup of 2 mm, of 25,600 triangles."""
+    profile = [(0, 0), (0.04, 0), (0.04, 0.09), (0.038, 0.09), (0.038, 0.002), (0, 0.002)]
+    cup = trimesh.creation.revolve(profile, sections=50).subdivide().subdivide().subdivide()
+    parts = convex_parts(*arrays(cup), concavity=0.1)
+    assert sum(volumes(parts)) == pytest.approx(cup.volume, rel=0.5)
+    assert depth_in_parts(np.array([[0, 0, 0.05]]), parts)[0] < -0.03
+    seen, _ = sample_surface(*arrays(cup), 2000, np.random.default_rng(0))
+    depth = depth_in_parts(seen, parts)
+    assert depth.min() > -0.001 and np.median(depth) < 0.001

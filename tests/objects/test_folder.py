@@ -4,7 +4,7 @@ import trimesh
 
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import FolderObjects
-from torchgrasp.objects.decomposition import convex_parts, reduce_hull, simplify
+from torchgrasp.objects.decomposition import convex_parts, reduce_hull
 from torchgrasp.objects.surface import depth_in_parts
 
 
@@ -137,14 +137,6 @@ def test_a_hollow_mesh_is_split_and_stays_hollow():
     parts = convex_parts(vertices, faces, concavity=0.2)
     assert len(parts) > 2 and all(len(part) <= 64 for part in parts)
     assert depth_in_parts(np.zeros((1, 3)), parts)[0] < 0
-
-
-def test_simplify_keeps_the_shape():
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.05)
-    vertices, faces = simplify(np.asarray(ball.vertices), np.asarray(ball.faces), max_faces=4000)
-    assert 1000 < len(faces) <= 4000
-    small = trimesh.Trimesh(vertices, faces)
-    assert small.volume == pytest.approx(ball.volume, rel=0.02)
 
 
 def test_reduced_hull_stays_near_and_drops_what_is_flat():

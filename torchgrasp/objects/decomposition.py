@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from torchgrasp.objects.model import MAX_PART_VERTICES
+from torchgrasp.objects.simplification import Faces, diagonal, edges_at_holes, merge_cells, simplify_closed
 from torchgrasp.objects.solids import Points, hull
 from torchgrasp.objects.surface import face_normals
 
-Faces = NDArray[np.int64]
-
-_MAX_COACD_FACES = 4000  # full scans take coacd minutes
+_MAX_COACD_FACES = 2000  # full scans take coacd minutes
 _NEARLY_CONVEX = 0.97  # share of its hull that a mesh fills
 MAX_PARTS = 64  # of a mesh of several bodies
 _MAX_SPLIT = 8  # bodies that coacd sees, the largest ones
@@ -38,10 +36,10 @@ def convex_parts(vertices: Points, faces: Faces, *, concavity: float) -> tuple[P
     if len(bodies) == 1:
         pieces = _split_body(vertices, faces, concavity, _MAX_COACD_FACES)
         return tuple(piece for piece in map(reduce_hull, pieces) if piece is not None)
-    size = _diagonal(vertices)
+    size = diagonal(vertices)
     pieces = []
     for rank, (corners, triangles) in enumerate(bodies):
-        threshold = concavity * size / _diagonal(corners)
+        threshold = concavity * size / diagonal(corners)
         if rank < _MAX_SPLIT and threshold < _COARSE:
             share = len(triangles) * _MAX_COACD_FACES // len(faces)
             pieces += _split_body(corners, triangles, threshold, max(share, 500))
@@ -49,10 +47,6 @@ def convex_parts(vertices: Points, faces: Faces, *, concavity: float) -> tuple[P
             pieces.append(corners)
     parts = [piece for piece in map(reduce_hull, pieces) if piece is not None]
     return tuple(merge_parts(parts, MAX_PARTS))
-
-
-def _diagonal(points: Points) -> float:
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def split_bodies(vertices: Points, faces: Faces) -> list[tuple[Points, Faces]]:
@@ -71,18 +65,19 @@ def split_bodies(vertices: Points, faces: Faces) -> list[tuple[Points, Faces]]:
     if count == 1:
         return [(vertices, faces)]
     owner = of_vertex[faces[:, 0]]
-    group = _group(vertices, faces, owner, count)[owner]
+    group = _group(vertices, faces, of_vertex, count)[owner]
     bodies = []
     for each in np.unique(group):
         used, triangles = np.unique(faces[group == each], return_inverse=True)
         bodies.append((vertices[used], triangles.reshape(-1, 3).astype(np.int64)))
-    return sorted(bodies, key=lambda body: -_diagonal(body[0]))
+    return sorted(bodies, key=lambda body: -diagonal(body[0]))
 
 
-def _group(vertices: Points, faces: Faces, owner: Faces, count: int) -> Faces:
+def _group(vertices: Points, faces: Faces, of_vertex: Faces, count: int) -> Faces:
     """(count,) the body to which each connected piece belongs."""
+    owner = of_vertex[faces[:, 0]]
     is_open = np.zeros(count, bool)
-    is_open[owner[_faces_at_holes(vertices, faces)]] = True
+    is_open[of_vertex[edges_at_holes(faces, len(vertices))[:, 0]]] = True
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     for corner in faces.T:
         np.minimum.at(low, owner, vertices[corner])
@@ -93,21 +88,13 @@ def _group(vertices: Points, faces: Faces, owner: Faces, count: int) -> Faces:
         around = ~is_open & (volume > 0) & (low <= low[cavity]).all(1) & (high >= high[cavity]).all(1)
         if around.any():
             group[cavity] = np.flatnonzero(around)[volume[around].argmin()]
-    loose = is_open & (np.linalg.norm(high - low, axis=1) < _CRUMB * _diagonal(vertices))
+    loose = is_open & (np.linalg.norm(high - low, axis=1) < _CRUMB * diagonal(vertices))
     area = np.bincount(owner, face_normals(vertices, faces)[1], minlength=count)
     if area[loose].sum() < _CRUMB * area.sum():
         is_open &= ~loose  # a soup of triangles is all that there is
     if is_open.any():
         group[is_open] = np.flatnonzero(is_open)[0]
     return group
-
-
-def _faces_at_holes(vertices: Points, faces: Faces) -> Faces:
-    """Indices of faces that have an edge of their own; none where the surface is closed."""
-    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    code = edges[:, 0] * len(vertices) + edges[:, 1]
-    _, first, times = np.unique(code, return_index=True, return_counts=True)
-    return first[times % 2 == 1] // 3
 
 
 def _split_body(vertices: Points, faces: Faces, concavity: float, max_faces: int) -> list[Points]:
@@ -167,46 +154,25 @@ def _decompose(vertices: Points, faces: Faces, concavity: float, max_faces: int)
     import coacd  # loads its shared library: only where a mesh needs it
 
     coacd.set_log_level("error")
-    corners, triangles = simplify(vertices, faces, max_faces=max_faces)
+    closed = simplify_closed(vertices, faces, max_faces=max_faces)
+    corners, triangles = closed or merge_cells(vertices, faces, max_faces=max_faces)
     if len(triangles) < 4:
         return [vertices]
-    # A third of coacd's own search costs a third of its time and two parts more on a mug. Open bodies are
-    # made solid first, with ragged faces: there an eighth of it halves the time again, 35 parts for 33.
-    nodes, iterations = (5, 20) if len(_faces_at_holes(vertices, faces)) else (10, 50)
+    # coacd makes a solid of an open body first. Its ragged walls take hundreds of parts where they are
+    # looked at closely. It would do so with most closed scans too, for they cut themselves somewhere: four
+    # times slower, and 1 mm thicker. An eighth of its search for cuts costs half of its time and two parts
+    # more of thirty.
     pieces = coacd.run_coacd(
         coacd.Mesh(corners, triangles.astype(np.int32)),
-        threshold=concavity,
+        threshold=concavity if closed else min(2 * concavity, 1.0),
+        preprocess_mode="off" if closed else "on",
+        preprocess_resolution=25,
+        mcts_nodes=5,
+        mcts_iterations=20,
         max_ch_vertex=MAX_PART_VERTICES,
         decimate=True,
-        mcts_nodes=nodes,
-        mcts_iterations=iterations,
     )
     return [np.asarray(corners, np.float64) for corners, _ in pieces]
-
-
-def simplify(vertices: Points, faces: Faces, *, max_faces: int) -> tuple[Points, Faces]:
-    """The mesh with at most `max_faces` triangles: vertices merged to the mean of their grid cell.
-
-    No vertex moves farther than a cell's diagonal. Cells begin at 1/200 of the longest side and grow by
-    a quarter until the triangles are few enough: on a surface of 50,000 triangles that is about 1 % of
-    the longest side, 2 mm on an object of 20 cm.
-    """
-    lower = vertices.min(axis=0)
-    cell = float(np.ptp(vertices, axis=0).max()) / 200
-    kept, simple = vertices, faces
-    while len(simple) > max_faces:
-        cells = np.floor((vertices - lower) / cell).astype(np.int64)
-        # One number a cell: sorting those takes a tenth of the time of sorting rows.
-        code = (cells[:, 0] * 1024 + cells[:, 1]) * 1024 + cells[:, 2]
-        _, owner, counts = np.unique(code, return_inverse=True, return_counts=True)
-        owner = owner.ravel()
-        kept = np.stack([np.bincount(owner, weights=column) / counts for column in vertices.T], axis=1)
-        simple = owner[faces]
-        a, b, c = simple.T
-        simple = simple[(a != b) & (b != c) & (c != a)]
-        simple = simple[np.unique(np.sort(simple, axis=1), axis=0, return_index=True)[1]]
-        cell *= 1.25
-    return kept, simple
 
 
 def reduce_hull(points: Points, max_vertices: int = MAX_PART_VERTICES) -> Points | None:

@@ -10,12 +10,13 @@ import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
 from torchgrasp.errors import ObjectError
-from torchgrasp.objects.decomposition import convex_parts, simplify
+from torchgrasp.objects.decomposition import convex_parts
 from torchgrasp.objects.mesh_files import read_triangles
+from torchgrasp.objects.simplification import Faces, close_pinholes, simplify
 from torchgrasp.objects.solids import Points, Solid
 
 MESH_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
-READING_VERSION = 1  # part of the name of every cache file of a mesh: raise it when one gives another solid
+READING_VERSION = 2  # part of the name of every cache file of a mesh: raise it when one gives another solid
 _LARGEST = 2.0  # metres; anything larger was drawn in another unit
 _UNITS = {"centimetres": 0.01, "millimetres": 0.001}
 _LIKELY = (0.02, 0.6)  # metres, the length of what is grasped
@@ -46,7 +47,7 @@ def read_solid(path: Path, *, scale: float, concavity: float, resize: bool = Fal
     if resize:
         mesh.apply_scale(hand_scale(np.asarray(mesh.vertices, np.float64)))
     _check_size(path, np.asarray(mesh.extents, np.float64), scale)
-    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    vertices, faces = _arrays(mesh)
     parts = convex_parts(vertices, faces, concavity=concavity)
     if not parts:
         raise ObjectError(f"{path} encloses no volume: give a closed mesh or remove the file.")
@@ -88,15 +89,15 @@ def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
 
 def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Vertices merged, flat triangles dropped, not too many left, holes closed, normals outward."""
-    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+    mesh = _without_flat_triangles(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True))
+    if not mesh.is_watertight:
+        mesh = trimesh.Trimesh(*close_pinholes(*_arrays(mesh)), process=False)
     was_closed = mesh.is_watertight
     if len(mesh.faces) > MAX_FACES:
         before = len(mesh.faces)
-        vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-        mesh = trimesh.Trimesh(*simplify(vertices, faces, max_faces=MAX_FACES), process=False)
+        mesh = trimesh.Trimesh(*simplify(*_arrays(mesh), max_faces=MAX_FACES), process=False)
+        mesh = _without_flat_triangles(mesh)
         _tell(path, f"has {before} triangles: {len(mesh.faces)} are kept.")
-    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
     if len(mesh.faces) < 4:
         return mesh
     with np.errstate(invalid="ignore", divide="ignore"):  # a flat mesh is refused later, by name
@@ -109,6 +110,17 @@ def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         if inverted:
             _tell(path, "is inside out: its faces are turned.")
     return mesh
+
+
+def _without_flat_triangles(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Each triangle once, and no vertices but theirs."""
+    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+    mesh.remove_unreferenced_vertices()
+    return mesh
+
+
+def _arrays(mesh: trimesh.Trimesh) -> tuple[Points, Faces]:
+    return np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
 
 
 def _open_share(mesh: trimesh.Trimesh) -> float:
