@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from torchgrasp.config.value_types import (
     Count,
@@ -240,7 +240,7 @@ class Evaluate(Section):
     grasp_prediction: Switch
     video: Video
     model: Any = None
-    host: str = ""
+    host: Annotated[str, StringConstraints(min_length=1)] | None = None
     port: Annotated[int, at_least(0, 65535)] = 0
     speed: Annotated[float, between(0.1, 10.0)] = 1.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -33,7 +34,17 @@ def check_values(cfg: DictConfig, schema: type[BaseModel]) -> None:
     if missing:
         raise ConfigError(f"{', '.join(missing)} must be given, as {missing[0]}=... on the command line.")
     check_section("", values, schema)
+    _refuse_infinite("", values)
     check_parts(values)
+
+
+def _refuse_infinite(place: str, value: Any) -> None:
+    """Refuse NaN and infinities wherever they stand, but for a planner's time."""
+    if isinstance(value, float) and not math.isfinite(value) and not place.endswith(".planner.budget"):
+        raise ConfigError(f"{place}={value} is no finite number: give one.")
+    pairs = value.items() if isinstance(value, dict) else enumerate(value if isinstance(value, list) else ())
+    for key, each in pairs:
+        _refuse_infinite(f"{place}.{key}" if place else str(key), each)
 
 
 def check_section(place: str, values: Any, section: type[BaseModel]) -> None:
