@@ -81,12 +81,13 @@ def test_what_a_hold_saves_is_not_interrupted_by_a_scheduler_that_repeats_itself
         check()
 
 
-def test_a_second_ctrl_c_ends_at_once():
+def test_a_second_ctrl_c_ends_at_once_and_python_does_not_complain_of_what_it_cleans_up():
     script = """
-import os, signal, time
+import multiprocessing, os, signal, time
 from torchgrasp.interruption import hold, watch_signals
 signal.signal(signal.SIGINT, signal.default_int_handler)
 with watch_signals(), hold():
+    semaphore = multiprocessing.get_context("spawn").Semaphore()
     os.kill(os.getpid(), signal.SIGINT)
     print("held", flush=True)
     os.kill(os.getpid(), signal.SIGINT)

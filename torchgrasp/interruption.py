@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ from types import FrameType
 from torchgrasp.errors import StorageError, WorkerError
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_QUIET_TRACKER = "ignore:resource_tracker:UserWarning"
 
 
 class Interrupted(KeyboardInterrupt):
@@ -80,6 +82,10 @@ def watch_signals(*, tell: Callable[[], None] | None = None) -> Iterator[None]:
     if _watch.active or threading.current_thread() is not threading.main_thread():
         yield
         return
+    # A process that ends at once leaves semaphores to Python's tracker, which reads its options from here. It
+    # removes them, and need not tell.
+    if _QUIET_TRACKER not in sys.warnoptions:
+        sys.warnoptions.append(_QUIET_TRACKER)
     before = {number: signal.getsignal(number) for number in _SIGNALS}
     _watch.active, _watch.tell = True, tell
     for number in _SIGNALS:
