@@ -82,10 +82,9 @@ def watch_signals(*, tell: Callable[[], None] | None = None) -> Iterator[None]:
     if _watch.active or threading.current_thread() is not threading.main_thread():
         yield
         return
-    # A process that ends at once leaves semaphores to Python's tracker, which reads its options from here. It
-    # removes them, and need not tell.
-    if _QUIET_TRACKER not in sys.warnoptions:
-        sys.warnoptions.append(_QUIET_TRACKER)
+    # A process that ends at once leaves semaphores to Python's tracker, which takes these options when it is
+    # started. It removes them, and need not tell.
+    sys.warnoptions.append(_QUIET_TRACKER)
     before = {number: signal.getsignal(number) for number in _SIGNALS}
     _watch.active, _watch.tell = True, tell
     for number in _SIGNALS:
@@ -95,6 +94,7 @@ def watch_signals(*, tell: Callable[[], None] | None = None) -> Iterator[None]:
         yield
     finally:
         _watch.active, _watch.received, _watch.tell = False, None, None
+        sys.warnoptions.remove(_QUIET_TRACKER)
         for number, handler in before.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
 

@@ -49,6 +49,7 @@ def test_those_of_the_other_recipes_too():
         ("demonstrations.weight=inf", "demonstrations.weight=inf is no finite number: give one"),
         ("env.physics.mass=inf", "env.physics.mass=inf is no finite number"),
         ("loss.aux_weight=-inf", "loss.aux_weight=-inf is no finite number"),
+        ("expert.planner.budget=nan", "expert.planner.budget=nan is no finite number"),
         ("env.physics.mass=nan", "env.physics.mass=nan is no finite number"),
         ("device=toaster", "device=toaster cannot be used"),
         ("evaluation.baselines=[expert,oracle]", "evaluation.baselines.1='oracle' is unknown"),

@@ -90,9 +90,18 @@ def test_a_thin_wall_gets_no_thicker():
     """A cup of 2 mm, of 25,600 triangles."""
     profile = [(0, 0), (0.04, 0), (0.04, 0.09), (0.038, 0.09), (0.038, 0.002), (0, 0.002)]
     cup = trimesh.creation.revolve(profile, sections=50).subdivide().subdivide().subdivide()
-    parts = convex_parts(*arrays(cup), concavity=0.1)
-    assert sum(volumes(parts)) == pytest.approx(cup.volume, rel=0.5)
+    parts = convex_parts(*arrays(cup), concavity=0.05)
+    assert sum(volumes(parts)) == pytest.approx(cup.volume, rel=0.3)
     assert depth_in_parts(np.array([[0, 0, 0.05]]), parts)[0] < -0.03
     seen, _ = sample_surface(*arrays(cup), 2000, np.random.default_rng(0))
     depth = depth_in_parts(seen, parts)
     assert depth.min() > -0.001 and np.median(depth) < 0.001
+
+
+def test_a_body_that_is_inside_out_gets_the_same_parts():
+    vertices, faces = arrays(trimesh.creation.annulus(0.02, 0.04, 0.03, sections=12))
+    parts = convex_parts(vertices, faces, concavity=0.2)
+    turned = convex_parts(vertices, faces[:, ::-1], concavity=0.2)
+    assert len(turned) == len(parts)
+    assert sum(volumes(turned)) == pytest.approx(sum(volumes(parts)), rel=0.05)
+    assert depth_in_parts(np.zeros((1, 3)), turned)[0] < -0.01

@@ -49,10 +49,29 @@ def test_a_mesh_of_far_too_many_faces_takes_seconds_and_keep_the_shape(tmp_path)
     with pytest.warns(UserWarning, match=r"fine\.stl has 327680 triangles"):
         solid = read_solid(tmp_path / "fine.stl", scale=1.0, concavity=0.05)
     assert time.perf_counter() - start < 30
-    assert 10_000 < len(solid.faces) <= MAX_FACES
+    assert MAX_FACES / 2 <= len(solid.faces) <= MAX_FACES
     radii = np.linalg.norm(solid.vertices, axis=1)
     assert np.abs(radii - 0.03).max() < 0.0003
     assert len(solid.parts) == 1
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 0), (1, 2, 3)])
+def test_triangles_that_are_lines_are_none(tmp_path, direction):
+    vertices = np.outer(np.linspace(0, 0.1, 12), direction)
+    trimesh.Trimesh(vertices, np.arange(12).reshape(4, 3), process=False).export(tmp_path / "lines.off")
+    with pytest.raises(ObjectError, match=r"lines\.off has 0 usable triangles"):
+        read_solid(tmp_path / "lines.off", scale=1.0, concavity=0.05)
+
+
+def test_pinholes_are_told(tmp_path):
+    mesh = trimesh.creation.icosphere(subdivisions=6, radius=0.05)
+    mesh.vertices[mesh.faces[0]] = mesh.vertices[mesh.faces[0]].mean(0) + 1e-5 * np.eye(3)
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    mesh.export(tmp_path / "scan.ply")
+    with pytest.warns(UserWarning, match=r"scan\.ply has pinholes: they are closed") as told:
+        solid = read_solid(tmp_path / "scan.ply", scale=1.0, concavity=0.05)
+    assert not [each for each in told if "is open" in str(each.message)]
+    assert trimesh.Trimesh(solid.vertices, solid.faces, process=False).is_watertight
 
 
 @pytest.mark.parametrize(

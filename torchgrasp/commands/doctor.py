@@ -19,7 +19,17 @@ from typing import Any
 from torchgrasp.names import one_line
 from torchgrasp.processes import count_cores
 
-_IMPORTED = ("torch", "tensordict", "torchrl", "sapien", "embreex.rtcore_scene", "frankik", "coacd", "hydra")
+_IMPORTED = (
+    "torch",
+    "tensordict",
+    "torchrl",
+    "sapien",
+    "embreex.rtcore_scene",
+    "frankik",
+    "coacd",
+    "manifold3d",
+    "hydra",
+)
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,9 @@ def check_values(cfg: DictConfig, schema: type[BaseModel]) -> None:
 
 
 def _refuse_infinite(place: str, value: Any) -> None:
-    """Refuse NaN and infinities wherever they stand, but for a planner's time."""
-    if isinstance(value, float) and not math.isfinite(value) and not place.endswith(".planner.budget"):
+    """Refuse NaN and infinities wherever they stand, but for a planner that may take what time it needs."""
+    unlimited = place.endswith(".planner.budget") and value == math.inf
+    if isinstance(value, float) and not math.isfinite(value) and not unlimited:
         raise ConfigError(f"{place}={value} is no finite number: give one.")
     pairs = value.items() if isinstance(value, dict) else enumerate(value if isinstance(value, list) else ())
     for key, each in pairs:

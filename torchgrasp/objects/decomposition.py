@@ -8,7 +8,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from torchgrasp.objects.model import MAX_PART_VERTICES
-from torchgrasp.objects.simplification import Faces, diagonal, edges_at_holes, merge_cells, simplify_closed
+from torchgrasp.objects.simplification import (
+    Faces,
+    Indices,
+    diagonal,
+    edges_at_holes,
+    merge_cells,
+    simplify_closed,
+)
 from torchgrasp.objects.solids import Points, hull
 from torchgrasp.objects.surface import face_normals
 
@@ -73,7 +80,7 @@ def split_bodies(vertices: Points, faces: Faces) -> list[tuple[Points, Faces]]:
     return sorted(bodies, key=lambda body: -diagonal(body[0]))
 
 
-def _group(vertices: Points, faces: Faces, of_vertex: Faces, count: int) -> Faces:
+def _group(vertices: Points, faces: Faces, of_vertex: Indices, count: int) -> Indices:
     """(count,) the body to which each connected piece belongs."""
     owner = of_vertex[faces[:, 0]]
     is_open = np.zeros(count, bool)
@@ -99,11 +106,12 @@ def _group(vertices: Points, faces: Faces, of_vertex: Faces, count: int) -> Face
 
 def _split_body(vertices: Points, faces: Faces, concavity: float, max_faces: int) -> list[Points]:
     try:
-        if _filled_share(vertices, faces) > _NEARLY_CONVEX:
-            return [vertices]
+        filled = _filled_share(vertices, faces)
     except QhullError:
         return []
-    return _decompose(vertices, faces, concavity, max_faces)
+    if abs(filled) > _NEARLY_CONVEX:
+        return [vertices]
+    return _decompose(vertices, faces if filled > 0 else faces[:, ::-1], concavity, max_faces)
 
 
 def merge_parts(parts: list[Points], most: int) -> list[Points]:
@@ -140,14 +148,14 @@ def _merge_round(parts: list[Points], number: int) -> list[Points]:
 
 
 def _filled_share(vertices: Points, faces: Faces) -> float:
-    """The share of its hull that a mesh fills.
+    """The share of its hull that a mesh fills, negative for one that is inside out.
 
     A hole takes away the cone from the middle of the mesh to it: a pinhole in a scan hardly counts, the
     missing lid of a box takes a sixth.
     """
     shape = ConvexHull(vertices)
     triangles = vertices[faces] - vertices[shape.vertices].mean(axis=0)
-    return abs(float(np.linalg.det(triangles).sum() / 6)) / shape.volume
+    return float(np.linalg.det(triangles).sum() / 6) / shape.volume
 
 
 def _decompose(vertices: Points, faces: Faces, concavity: float, max_faces: int) -> list[Points]:
@@ -158,15 +166,15 @@ def _decompose(vertices: Points, faces: Faces, concavity: float, max_faces: int)
     corners, triangles = closed or merge_cells(vertices, faces, max_faces=max_faces)
     if len(triangles) < 4:
         return [vertices]
-    # coacd makes a solid of an open body first. Its ragged walls take hundreds of parts where they are
-    # looked at closely. It would do so with most closed scans too, for they cut themselves somewhere: four
-    # times slower, and 1 mm thicker. An eighth of its search for cuts costs half of its time and two parts
-    # more of thirty.
     pieces = coacd.run_coacd(
         coacd.Mesh(corners, triangles.astype(np.int32)),
+        # coacd makes a solid of an open body first, whose ragged walls take hundreds of parts where they are
+        # looked at closely. It would do so with most closed scans too, for they cut themselves somewhere:
+        # four times slower, and 1 mm thicker.
         threshold=concavity if closed else min(2 * concavity, 1.0),
         preprocess_mode="off" if closed else "on",
         preprocess_resolution=25,
+        # An eighth of its search for cuts costs half of its time and two parts more of thirty.
         mcts_nodes=5,
         mcts_iterations=20,
         max_ch_vertex=MAX_PART_VERTICES,

@@ -29,8 +29,8 @@ _MAX_HOLES = 0.25  # share of the edges at which a mesh may end to have its hole
 def read_solid(path: Path, *, scale: float, concavity: float, resize: bool = False) -> Solid:
     """The mesh file as a solid in metres, its convex parts by coacd; ObjectError names a file that fails.
 
-    What could be mended is told by a warning: vertices that no face needs, open or inverted surfaces,
-    more than 50,000 triangles.
+    What could be mended is told by a warning: vertices that no face needs, pinholes, open or inverted
+    surfaces, more than 50,000 triangles.
 
     Args:
         path: an obj, stl, ply, glb or off file.
@@ -90,8 +90,11 @@ def _drop_unused(path: Path, mesh: trimesh.Trimesh) -> None:
 def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Vertices merged, flat triangles dropped, not too many left, holes closed, normals outward."""
     mesh = _without_flat_triangles(trimesh.Trimesh(mesh.vertices, mesh.faces, process=True))
-    if not mesh.is_watertight:
-        mesh = trimesh.Trimesh(*close_pinholes(*_arrays(mesh)), process=False)
+    if len(mesh.faces) >= 4 and not mesh.is_watertight:
+        closed = trimesh.Trimesh(*close_pinholes(*_arrays(mesh)), process=False)
+        if len(closed.faces) < len(mesh.faces):
+            _tell(path, "has pinholes: they are closed.")
+            mesh = closed
     was_closed = mesh.is_watertight
     if len(mesh.faces) > MAX_FACES:
         before = len(mesh.faces)
@@ -113,7 +116,7 @@ def _tidy(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _without_flat_triangles(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Each triangle once, and no vertices but theirs."""
+    """The same mesh with each triangle once, those that are lines left out, and no vertices but theirs."""
     mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
     return mesh

@@ -14,10 +14,13 @@ from torchgrasp.objects.solids import Points
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-Faces = NDArray[np.int64]
+Faces = NDArray[np.int64]  # (F, 3) indices of vertices
+Indices = NDArray[np.int64]
 
 _PINHOLE = 0.005  # share of the mesh's diagonal
 _LEAST_TOLERANCE, _MOST_TOLERANCE = 1e-5, 0.02  # shares of the mesh's diagonal
+_STEP, _LARGE_STEP, _LEAST_STEP = 1.3, 3.0, 1.05  # factors by which the tolerance grows
+_MANY = 100_000  # triangles, of which a call takes a second or more
 
 
 def simplify(vertices: Points, faces: Faces, *, max_faces: int) -> tuple[Points, Faces]:
@@ -42,7 +45,8 @@ def simplify_closed(vertices: Points, faces: Faces, *, max_faces: int) -> tuple[
 
     Closed is a surface in which each edge belongs to two triangles that turn the same way. The distance
     by which it may move begins at a hundred-thousandth of the diagonal, and grows by a third until the
-    triangles are few enough.
+    triangles are few enough, faster on more than 100,000 that hardly become fewer. A step to less than
+    half of `max_faces` is taken back, and smaller ones are tried.
 
     Args:
         vertices: (V, 3).
@@ -53,10 +57,17 @@ def simplify_closed(vertices: Points, faces: Faces, *, max_faces: int) -> tuple[
     if solid is None:
         return None
     size = diagonal(vertices)
-    tolerance = _LEAST_TOLERANCE * size
+    tolerance, step = _LEAST_TOLERANCE * size, _STEP
     while solid.num_tri() > max_faces and tolerance < _MOST_TOLERANCE * size:
-        solid = solid.simplify(tolerance)
-        tolerance *= 1.3
+        smaller = solid.simplify(tolerance)
+        if 2 * smaller.num_tri() < max_faces and step > _LEAST_STEP:
+            tolerance /= step**0.5
+            step **= 0.5
+            continue
+        hardly = smaller.num_tri() > max(0.9 * solid.num_tri(), _MANY)
+        step = _LARGE_STEP if hardly else min(step, _STEP)
+        solid = smaller
+        tolerance *= step
     if not 4 <= solid.num_tri() <= max_faces:
         return None
     mesh = solid.to_mesh64()
@@ -96,34 +107,41 @@ def merge_cells(vertices: Points, faces: Faces, *, max_faces: int) -> tuple[Poin
 def close_pinholes(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
     """The mesh with each hole closed that is no larger than 0.5 % of its diagonal, 1 mm of 20 cm.
 
-    The corners of such a hole become one vertex. Triangles that lie in one another, as two sides of a
-    fold that is gone, are left out.
+    The corners of such a hole become one vertex. Two triangles that lie in one another then, the sides of
+    a fold, are left out. A piece that is no larger itself, such as a loose triangle, stays as it is.
 
     Args:
         vertices: (V, 3).
         faces: (F, 3) indices.
     """
-    most = _PINHOLE * diagonal(vertices)
+    most = _PINHOLE * diagonal(vertices) if len(faces) else 0.0
     while len(rim := edges_at_holes(faces, len(vertices))):
-        count, hole = connected_components(
-            coo_array((np.ones(len(rim), bool), rim.T), shape=(len(vertices), len(vertices))), directed=False
-        )
-        low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-        np.minimum.at(low, hole, vertices)
-        np.maximum.at(high, hole, vertices)
-        small = np.linalg.norm(high - low, axis=1)[hole] <= most
-        if not small[rim[:, 0]].any():
+        hole, hole_size = _sizes_of_groups(vertices, rim)
+        piece, piece_size = _sizes_of_groups(vertices, faces[:, [0, 1, 1, 2]].reshape(-1, 2))
+        closed = (hole_size[hole] <= most) & (piece_size[piece] > most)
+        if not closed[rim[:, 0]].any():
             break
         owner = np.arange(len(vertices))
-        owner[small] = len(vertices) + hole[small]
+        owner[closed] = len(vertices) + hole[closed]
         vertices, faces = _merge(vertices, faces, np.unique(owner, return_inverse=True)[1].ravel())
-        _, same, times = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True, return_counts=True)
-        faces = faces[times[same.ravel()] % 2 == 1]
+        _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        faces = faces[np.sort(first[times % 2 == 1])]
     used, faces = np.unique(faces, return_inverse=True)
     return vertices[used], faces.reshape(-1, 3).astype(np.int64)
 
 
-def _merge(vertices: Points, faces: Faces, owner: Faces) -> tuple[Points, Faces]:
+def _sizes_of_groups(vertices: Points, edges: Faces) -> tuple[Indices, Points]:
+    """(V,) the group of each vertex, those that edges join, and (G,) the diagonal of each group's box."""
+    count, group = connected_components(
+        coo_array((np.ones(len(edges), bool), edges.T), shape=(len(vertices), len(vertices))), directed=False
+    )
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, group, vertices)
+    np.maximum.at(high, group, vertices)
+    return group, np.linalg.norm(high - low, axis=1)
+
+
+def _merge(vertices: Points, faces: Faces, owner: Indices) -> tuple[Points, Faces]:
     """Vertices of one owner become their mean; triangles that are edges then are left out."""
     counts = np.bincount(owner)
     kept = np.stack([np.bincount(owner, weights=column) / counts for column in vertices.T], axis=1)
