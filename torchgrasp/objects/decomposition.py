@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from torchgrasp.objects.model import MAX_PART_VERTICES
 from torchgrasp.objects.simplification import (
     Faces,
     Indices,
+    boxes,
+    connected_groups,
     diagonal,
     edges_at_holes,
     merge_cells,
+    sides,
     simplify_closed,
+    without_unused,
 )
 from torchgrasp.objects.solids import Points, hull
 from torchgrasp.objects.surface import face_normals
@@ -65,18 +67,12 @@ def split_bodies(vertices: Points, faces: Faces) -> list[tuple[Points, Faces]]:
         vertices: (V, 3), each used by a face.
         faces: (F, 3) indices, closed bodies with outward normals.
     """
-    ends = faces[:, [0, 1, 1, 2]].reshape(-1, 2).T
-    count, of_vertex = connected_components(
-        coo_array((np.ones(ends.shape[1], bool), ends), shape=(len(vertices), len(vertices))), directed=False
-    )
+    of_vertex, count = connected_groups(sides(faces), len(vertices))
     if count == 1:
         return [(vertices, faces)]
     owner = of_vertex[faces[:, 0]]
     group = _group(vertices, faces, of_vertex, count)[owner]
-    bodies = []
-    for each in np.unique(group):
-        used, triangles = np.unique(faces[group == each], return_inverse=True)
-        bodies.append((vertices[used], triangles.reshape(-1, 3).astype(np.int64)))
+    bodies = [without_unused(vertices, faces[group == each]) for each in np.unique(group)]
     return sorted(bodies, key=lambda body: -diagonal(body[0]))
 
 
@@ -85,10 +81,7 @@ def _group(vertices: Points, faces: Faces, of_vertex: Indices, count: int) -> In
     owner = of_vertex[faces[:, 0]]
     is_open = np.zeros(count, bool)
     is_open[of_vertex[edges_at_holes(faces, len(vertices))[:, 0]]] = True
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    for corner in faces.T:
-        np.minimum.at(low, owner, vertices[corner])
-        np.maximum.at(high, owner, vertices[corner])
+    low, high = boxes(vertices, of_vertex, count)
     group = np.arange(count)
     volume = np.bincount(owner, np.linalg.det(vertices[faces] - vertices.mean(0)), minlength=count)
     for cavity in np.flatnonzero((volume < 0) & ~is_open):

@@ -114,11 +114,12 @@ def close_pinholes(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
         vertices: (V, 3).
         faces: (F, 3) indices.
     """
-    most = _PINHOLE * diagonal(vertices) if len(faces) else 0.0
+    most = _PINHOLE * diagonal(vertices)
     while len(rim := edges_at_holes(faces, len(vertices))):
-        hole, hole_size = _sizes_of_groups(vertices, rim)
-        piece, piece_size = _sizes_of_groups(vertices, faces[:, [0, 1, 1, 2]].reshape(-1, 2))
-        closed = (hole_size[hole] <= most) & (piece_size[piece] > most)
+        hole, holes = connected_groups(rim, len(vertices))
+        piece, pieces = connected_groups(sides(faces), len(vertices))
+        closed = _box_sizes(vertices, hole, holes)[hole] <= most
+        closed &= _box_sizes(vertices, piece, pieces)[piece] > most
         if not closed[rim[:, 0]].any():
             break
         owner = np.arange(len(vertices))
@@ -126,19 +127,13 @@ def close_pinholes(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
         vertices, faces = _merge(vertices, faces, np.unique(owner, return_inverse=True)[1].ravel())
         _, first, times = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
         faces = faces[np.sort(first[times % 2 == 1])]
-    used, faces = np.unique(faces, return_inverse=True)
-    return vertices[used], faces.reshape(-1, 3).astype(np.int64)
+    return without_unused(vertices, faces)
 
 
-def _sizes_of_groups(vertices: Points, edges: Faces) -> tuple[Indices, Points]:
-    """(V,) the group of each vertex, those that edges join, and (G,) the diagonal of each group's box."""
-    count, group = connected_components(
-        coo_array((np.ones(len(edges), bool), edges.T), shape=(len(vertices), len(vertices))), directed=False
-    )
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, group, vertices)
-    np.maximum.at(high, group, vertices)
-    return group, np.linalg.norm(high - low, axis=1)
+def _box_sizes(vertices: Points, group: Indices, count: int) -> Points:
+    """(G,) the diagonal of each group's box."""
+    low, high = boxes(vertices, group, count)
+    return np.linalg.norm(high - low, axis=1)
 
 
 def _merge(vertices: Points, faces: Faces, owner: Indices) -> tuple[Points, Faces]:
@@ -160,6 +155,48 @@ def edges_at_holes(faces: Faces, count: int) -> Faces:
     code, times = np.unique(edges[:, 0] * count + edges[:, 1], return_counts=True)
     odd = code[times % 2 == 1]
     return np.stack([odd // count, odd % count], axis=1)
+
+
+def sides(faces: Faces) -> Indices:
+    """(2 F, 2) two edges of each triangle, which join what its three do."""
+    return faces[:, [0, 1, 1, 2]].reshape(-1, 2)
+
+
+def connected_groups(edges: Indices, count: int) -> tuple[Indices, int]:
+    """(V,) the group of each vertex, those that edges join, and the number of groups.
+
+    Args:
+        edges: (E, 2) indices.
+        count: number of vertices.
+    """
+    joined = coo_array((np.ones(len(edges), bool), edges.T), shape=(count, count))
+    groups, of_vertex = connected_components(joined, directed=False)
+    return of_vertex, groups
+
+
+def boxes(vertices: Points, group: Indices, count: int) -> tuple[Points, Points]:
+    """(G, 3) the lowest and the highest coordinates of each group of vertices.
+
+    Args:
+        vertices: (V, 3).
+        group: (V,) of each vertex.
+        count: number of groups.
+    """
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, group, vertices)
+    np.maximum.at(high, group, vertices)
+    return low, high
+
+
+def without_unused(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
+    """The mesh without vertices that no triangle has.
+
+    Args:
+        vertices: (V, 3).
+        faces: (F, 3) indices.
+    """
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3).astype(np.int64)
 
 
 def diagonal(points: Points) -> float:
