@@ -60,7 +60,8 @@ def compare_encoders(cfg: DictConfig, what: str, make: MakePass) -> list[dict]:
     """Time, memory and size of the pass that `make` builds, one encoder after the other."""
     rows: list[dict] = []
     for name in _ENCODERS:
-        if name.endswith("compiled") and not cfg.clouds.compiled:
+        _, low, compiled = _ENCODERS[name]
+        if (compiled and not cfg.clouds.compiled) or (low and not cfg.clouds.bfloat16):
             continue
         row = _measure_alone(make, name, cfg)
         rows.append(row)
