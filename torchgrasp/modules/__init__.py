@@ -10,6 +10,7 @@ from torchgrasp.modules.exploration import DecayingUniformNoise as DecayingUnifo
 from torchgrasp.modules.goal_predictor import GoalPredictor as GoalPredictor
 from torchgrasp.modules.pointnet import PointNet as PointNet
 from torchgrasp.modules.pointnet2 import PointNet2 as PointNet2
+from torchgrasp.modules.residual_actor import ResidualActor as ResidualActor
 from torchgrasp.modules.resnet import ResNet18 as ResNet18
 from torchgrasp.modules.split import GivenFeature as GivenFeature
 from torchgrasp.modules.split import split_network as split_network

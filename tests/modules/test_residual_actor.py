@@ -1,0 +1,202 @@
+"""ResidualActor: a frozen base policy, and a bounded correction that starts at zero."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.data import Bounded, LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import PendulumEnv
+from torchrl.envs.utils import step_mdp
+from torchrl.modules import MLP
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.modules import GraspActor, PointNet, ResidualActor
+from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
+
+STATE = ("angle", "rate")
+BOUND = [2.0]
+
+
+def make_base() -> TensorDictModule:
+    return TensorDictModule(nn.Linear(1, 1), ["angle"], ["action"])
+
+
+def make_actor(base: TensorDictModule | None = None, **options) -> ResidualActor:
+    options = {"in_keys": STATE, "action_bound": BOUND, **options}
+    return ResidualActor(base or make_base(), MLP(3, 1, num_cells=[16]), **options)
+
+
+def make_state(count: int = 8, size: float = 1.0) -> TensorDict:
+    return TensorDict({key: size * torch.randn(count, 1) for key in STATE}, [count])
+
+
+def push(actor: ResidualActor, by: float) -> None:
+    """Have the correction ask for `by` everywhere."""
+    last = [each for each in actor.correction.modules() if isinstance(each, nn.Linear)][-1]
+    nn.init.constant_(last.bias, by)
+
+
+def test_it_begins_as_the_base_policy() -> None:
+    base, state = make_base(), make_state()
+    written = make_actor(base)(state.copy())
+    assert torch.equal(written["action"], base(state.copy())["action"].clamp(-2, 2))
+    assert torch.equal(written["base_action"], base(state.copy())["action"])
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.1, 1.0])
+def test_the_correction_is_bounded(scale: float) -> None:
+    actor, state = make_actor(scale=scale), make_state(64)
+    push(actor, 50.0)
+    written = actor(state)
+    expected = (written["base_action"] + 2.0 * scale).clamp(max=2.0)
+    assert torch.allclose(written["action"], expected)
+
+
+def test_limits_of_a_spec_need_not_be_symmetric() -> None:
+    spec = Bounded(torch.tensor([0.0]), torch.tensor([4.0]), [1])
+    base = TensorDictModule(lambda angle: 0 * angle + 3.9, ["angle"], ["action"])
+    actor = make_actor(base, action_bound=None, action_spec=spec, scale=0.5)
+    push(actor, 50.0)
+    assert torch.equal(actor(make_state(2))["action"], torch.full((2, 1), 4.0))
+    push(actor, -50.0)
+    assert torch.allclose(actor(make_state(2))["action"], torch.full((2, 1), 2.9))
+
+
+def test_gradients_reach_the_correction_alone() -> None:
+    actor = make_actor()
+    actor(make_state())["action"].sum().backward()
+    assert all(each.grad is None and not each.requires_grad for each in actor.base.parameters())
+    assert any(each.grad is not None and bool(each.grad.any()) for each in actor.correction.parameters())
+
+
+def test_the_given_base_policy_goes_on_learning() -> None:
+    base = make_base()
+    actor = make_actor(base)
+    assert all(each.requires_grad for each in base.parameters())
+    own = make_actor(base, copy_base=False)
+    assert own.base is base and not any(each.requires_grad for each in base.parameters())
+    assert actor.base is not base
+
+
+def test_the_base_policy_stays_in_evaluation_mode() -> None:
+    network = nn.Sequential(nn.Dropout(0.9), nn.Linear(1, 1))
+    actor = make_actor(TensorDictModule(network, ["angle"], ["action"])).train()
+    state = make_state()
+    assert actor.correction.training and not actor.base.training
+    assert torch.equal(actor(state.copy())["base_action"], actor(state.copy())["base_action"])
+
+
+def test_weights_travel_with_both_parts() -> None:
+    first, second, state = make_actor(), make_actor(), make_state()
+    push(first, 0.3)
+    second.load_state_dict(first.state_dict())
+    assert torch.equal(first(state.copy())["action"], second(state.copy())["action"])
+
+
+def test_what_else_the_base_policy_writes_is_passed_on() -> None:
+    base = GraspActor(PointNet)
+    correction = MLP(1 + 6, 6, num_cells=[16])
+    actor = ResidualActor(base, correction, in_keys=["time_left"], action_bound=[0.06] * 3 + [0.3] * 3)
+    assert actor.in_keys == ["points", "time_left"]
+    assert actor.out_keys == ["action", "goal_prediction", "base_action"]
+    state = TensorDict({"points": torch.rand(2, 64, 4), "time_left": torch.ones(2, 1)}, [2])
+    assert torch.equal(actor(state.copy())["goal_prediction"], base.eval()(state.copy())["goal_prediction"])
+
+
+def test_any_batch_will_do() -> None:
+    actor, state = make_actor(), make_state(12)
+    expected = actor(state.copy())["action"]
+    assert torch.equal(actor(state.reshape(3, 4))["action"].reshape(-1, 1), expected)
+    assert torch.equal(actor(angle=state["angle"], rate=state["rate"])[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"scale": 1.5}, "scale=1.5"),
+        ({"action_bound": None}, "action_bound and action_spec are missing"),
+        ({"action_key": "torque"}, r"base writes \['action'\] and no 'torque'"),
+    ],
+)
+def test_wrong_arguments_are_refused(options: dict, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        make_actor(**options)
+
+
+@pytest.mark.parametrize("correction", [nn.Tanh(), nn.Sequential(nn.Linear(3, 1), nn.LayerNorm(1))])
+def test_a_correction_that_cannot_start_at_zero_is_refused(correction: nn.Module) -> None:
+    with pytest.raises(ConfigError, match="correction ends with"):
+        ResidualActor(make_base(), correction, in_keys=STATE, action_bound=BOUND)
+
+
+# A pendulum of TorchRL that starts upright and is to stay there, for so many steps.
+_HORIZON, _WORLDS, _ROUNDS, _UPDATES = 40, 16, 4, 60
+
+
+class Weak(nn.Module):
+    """A controller whose motor is off by a constant: it hangs beside the upright pose."""
+
+    def forward(self, angle: Tensor, rate: Tensor) -> Tensor:
+        return (-8.0 * angle - 2.0 * rate + 1.5).clamp(-2, 2).unsqueeze(-1)
+
+
+class Tell(nn.Module):
+    """A network of the pendulum's state, whose entries are (*), and vectors (*, D)."""
+
+    def __init__(self, num_inputs: int) -> None:
+        super().__init__()
+        self.layers = MLP(num_inputs, 1, num_cells=[64, 64], activation_class=nn.ReLU)
+
+    def forward(self, angle: Tensor, rate: Tensor, *vectors: Tensor) -> Tensor:
+        return self.layers(torch.stack((4 * angle, rate), dim=-1), *vectors)
+
+
+def run_episodes(env: PendulumEnv, policy: TensorDictModule | ResidualActor, noise: float) -> TensorDictBase:
+    now = env.reset(env.gen_params(batch_size=[_WORLDS]), set_state=False)
+    for key in ("th", "thdot"):
+        now[key] = 0.2 * torch.rand(_WORLDS) - 0.1
+    steps = []
+    for _ in range(_HORIZON):
+        with torch.no_grad():
+            acted = policy(now)
+        acted["action"] = (acted["action"] + noise * torch.randn(_WORLDS, 1)).clamp(-2, 2)
+        steps.append(env.step(acted))
+        now = step_mdp(steps[-1])
+    return torch.cat([step.unsqueeze(-1) for step in steps], dim=-1)
+
+
+def descend(adam: torch.optim.Optimizer, terms: TensorDictBase) -> None:
+    adam.zero_grad()
+    sum(value for key, value in terms.items() if key.startswith("loss_")).backward()
+    adam.step()
+
+
+def test_a_residual_improves_a_mediocre_controller_of_a_torchrl_environment() -> None:
+    torch.manual_seed(0)
+    env, keys = PendulumEnv(seed=0), ["th", "thdot"]
+    base = TensorDictModule(Weak(), keys, ["action"])
+    actor = ResidualActor(base, Tell(3), in_keys=keys, action_spec=env.action_spec, scale=0.3)
+    critics = [TensorDictModule(Tell(3), [*keys, "action"], ["state_action_value"]) for _ in range(2)]
+    loss = GraspTD3BCLoss(actor, critics, bc_weight=0.0, action_bound=BOUND)
+    loss.make_value_estimator(gamma=0.9)
+    targets = StaggeredTargetUpdate(loss, tau=0.02, period=50)
+    learning = (loss.critic_network_params, actor.correction)
+    adam_critic, adam_actor = (torch.optim.Adam(each.parameters(), lr=3e-3) for each in learning)
+    size = _HORIZON * _WORLDS * _ROUNDS
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(size), batch_size=128)
+    before = run_episodes(env, base, noise=0.0)["next", "reward"].sum((-1, -2)).mean()
+    for _ in range(_ROUNDS):
+        steps = run_episodes(env, actor, noise=0.2).reshape(-1)
+        following = [("next", key) for key in (*keys, "reward", "terminated")]
+        buffer.extend(steps.select(*keys, "action", *following))
+        for number in range(_UPDATES):
+            batch = buffer.sample()
+            descend(adam_critic, loss.critic_loss(batch))
+            targets.step()
+            if number % 2:
+                descend(adam_actor, loss.actor_loss(batch))
+    after = run_episodes(env, actor, noise=0.0)["next", "reward"].sum((-1, -2)).mean()
+    assert after > 0.5 * before, (before, after)

@@ -1,0 +1,133 @@
+"""A residual policy: what a given policy does, and a bounded correction that is learned."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, dispatch
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor, nn
+
+from torchgrasp import keys
+from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.modules.action_limits import find_limits
+
+
+class ResidualActor(TensorDictModuleBase):
+    """Writes the action (*, A) of a frozen base policy plus a correction, which is zero at the start.
+
+    With the limits' half range h, componentwise,
+
+        action = clip(base action + scale h tanh(correction(inputs, base action / h)), limits).
+
+    The base policy never changes, so that values of its own episodes stay true, and no update can move an
+    action further than `scale`: reinforcement cannot destroy what the base policy does (Silver et al. 2018,
+    arXiv 1812.06298; Johannink et al. 2019, arXiv 1812.03201). Nothing here is about grasping.
+
+    Losses take it as any actor: gradients reach the correction alone. What the base policy writes
+    besides the action, such as a goal prediction, is written as it is.
+
+    Args:
+        base: the policy, which writes the action within the limits. A module is copied, as its other owners
+            go on training theirs, then frozen and kept in evaluation mode.
+        correction: a network from the values (*, D) of `in_keys` and the base action (*, A), in units of
+            the half range about the limits' middle, to (*, A) numbers; TorchRL's MLP is one. Its last
+            linear layer is set to zero.
+        scale: the largest correction, as a share of the half range: 0.1 to 0.3 in the sources above.
+        in_keys: what the correction reads besides the base action.
+        action_bound: largest magnitude of each component of the action.
+        action_spec: instead of it, the action's Bounded spec, or a Composite that holds it.
+        action_key: of the action.
+        base_action_key: where the base policy's action is written.
+        copy_base: False to take the base policy itself, frozen from now on.
+
+    Raises:
+        ConfigError: for a base policy that writes no such action, a correction without a linear layer at its
+            end, and limits that are missing or infinite.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from tensordict.nn import TensorDictModule
+        >>> from torchrl.modules import MLP
+        >>> base = TensorDictModule(lambda angle: -0.5 * angle, ["angle"], ["action"])
+        >>> actor = ResidualActor(base, MLP(3, 1), in_keys=["angle", "rate"], action_bound=[2.0])
+        >>> state = TensorDict({"angle": torch.ones(4, 1), "rate": torch.zeros(4, 1)}, [4])
+        >>> actor(state)["action"].flatten().tolist()
+        [-0.5, -0.5, -0.5, -0.5]
+    """
+
+    low: Tensor
+    high: Tensor
+    base: TensorDictModuleBase
+
+    def __init__(
+        self,
+        base: TensorDictModuleBase,
+        correction: nn.Module,
+        *,
+        scale: float = 0.1,
+        in_keys: Sequence[NestedKey] = (),
+        action_bound: Sequence[float] | None = None,
+        action_spec: Any = None,
+        action_key: NestedKey = keys.ACTION,
+        base_action_key: NestedKey = keys.BASE_ACTION,
+        copy_base: bool = True,
+    ) -> None:
+        super().__init__()
+        check_range("scale", scale, 0.0, 1.0)
+        written = [unravel_key(key) for key in base.out_keys]
+        if unravel_key(action_key) not in written:
+            raise ConfigError(
+                f"base writes {written} and no {action_key!r}: give a policy that does, or name its action "
+                "by action_key."
+            )
+        self.base = deepcopy(base) if copy_base else base
+        self.base.requires_grad_(False).eval()
+        self.correction = correction
+        _start_at_zero(correction)
+        self.scale, self.action_key, self.base_action_key = scale, action_key, base_action_key
+        self._read = [unravel_key(key) for key in in_keys]
+        low, high = find_limits(action_bound, action_spec, action_key)
+        self.register_buffer("low", low, persistent=False)
+        self.register_buffer("high", high, persistent=False)
+        self.in_keys = list(dict.fromkeys([*map(unravel_key, base.in_keys), *self._read]))  # pyright: ignore
+        self.out_keys = [*written, unravel_key(base_action_key)]  # pyright: ignore
+
+    def train(self, mode: bool = True) -> ResidualActor:
+        """Set the mode of the correction; the base policy stays in evaluation mode."""
+        super().train(mode)
+        self.base.eval()
+        return self
+
+    @dispatch()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the action, the base policy's own, and what else the base policy writes."""
+        with torch.no_grad():
+            written = self.base(tensordict.select(*self.base.in_keys))
+        based = written.get(self.action_key)
+        low, high = self.low.to(based), self.high.to(based)
+        half, middle = (high - low) / 2, (high + low) / 2
+        inputs = [tensordict.get(key) for key in self._read]
+        correction = self.correction(*inputs, (based - middle) / half)
+        action = (based + self.scale * half * correction.tanh()).clamp(low, high)
+        for key in self.out_keys[:-1]:
+            tensordict.set(key, written.get(key))
+        return tensordict.set(self.base_action_key, based).set(self.action_key, action)
+
+
+def _start_at_zero(network: nn.Module) -> None:
+    """Zero the last layer that has parameters."""
+    layers = [each for each in network.modules() if any(True for _ in each.parameters(recurse=False))]
+    if not layers or not isinstance(layers[-1], nn.Linear):
+        last = type(layers[-1]).__name__ if layers else "no layer that learns"
+        raise ConfigError(
+            f"correction ends with {last}: give a network whose last layer with weights is linear, such as "
+            "TorchRL's MLP, so that the correction can start at zero."
+        )
+    nn.init.zeros_(layers[-1].weight)
+    if layers[-1].bias is not None:
+        nn.init.zeros_(layers[-1].bias)
