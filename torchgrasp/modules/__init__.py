@@ -14,3 +14,4 @@ from torchgrasp.modules.residual_actor import ResidualActor as ResidualActor
 from torchgrasp.modules.resnet import ResNet18 as ResNet18
 from torchgrasp.modules.split import GivenFeature as GivenFeature
 from torchgrasp.modules.split import split_network as split_network
+from torchgrasp.modules.value_choice import ValueChoice as ValueChoice
