@@ -61,6 +61,16 @@ def test_values_depend_on_action_and_time(fusion):
     assert (before[:, 0] != before[:, 1]).all()
 
 
+def test_values_of_normalised_heads_stay_small_far_from_the_data():
+    """A head with LayerNorm cannot grow with its input, however far that is from what it was trained on."""
+    batch = _batch(4)
+    plain, bounded = (GraspCritic(SMALL, fusion="late", norm=norm) for norm in ("none", "layer"))
+    assert sum(isinstance(each, nn.LayerNorm) for each in bounded.module.value_heads.modules()) == 4
+    far = batch.clone().update({"action": 1e4 * torch.ones(4, 6)})
+    grown = [critic(far.clone())["state_action_value"].abs().max() for critic in (plain, bounded)]
+    assert grown[0] > 100 and grown[1] < 10
+
+
 def test_early_fusion_gives_the_encoder_the_action():
     assert GraspCritic(SMALL).module.encoder.in_channels == 10
     assert GraspCritic(SMALL, fusion="late").module.encoder.in_channels == 4

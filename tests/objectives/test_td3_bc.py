@@ -40,6 +40,21 @@ def test_critic_terms_by_hand(constant_actor, constant_critic, batch):
     assert out["td_error"].item() == pytest.approx(mean)
 
 
+@pytest.mark.parametrize(
+    ("limits", "mean"), [(None, 0.3925), ((0.0, 0.1), 0.1), ([0.5, 2], 0.625), ((-1.0, 0.19), 0.19)]
+)
+def test_targets_are_clipped_to_possible_values(constant_actor, constant_critic, batch, limits, mean):
+    """They are 0.19 three times, and 1 at the end."""
+    loss = _loss(constant_actor(), constant_critic((0.4, 0.2)), value_limits=limits)
+    assert loss.critic_loss(batch)["target_value"].item() == pytest.approx(mean)
+
+
+@pytest.mark.parametrize("limits", [(1.0, 0.0), (1.0,), 3.0, ("low", "high"), (0.0, float("nan"))])
+def test_impossible_limits_of_values_are_refused(constant_actor, constant_critic, limits):
+    with pytest.raises(ConfigError, match="value_limits="):
+        make_loss(constant_actor(), constant_critic(), value_limits=limits)
+
+
 def test_where_no_error_counts_priorities_are_zero(constant_actor, constant_critic, batch):
     batch["perturbed"] = torch.ones(4, 1, dtype=torch.bool)
     _loss(constant_actor(), constant_critic((0.4, 0.2))).critic_loss(batch)

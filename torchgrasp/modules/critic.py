@@ -27,6 +27,7 @@ from torchgrasp.modules.heads import (
     head,
     join_channels,
 )
+from torchgrasp.modules.layers import Norm
 from torchgrasp.modules.network import GraspNetwork
 
 
@@ -49,6 +50,8 @@ class GraspCritic(GraspNetwork):
         fusion: 'early' or 'late'.
         action_bound: largest magnitude of each action component; its length is A.
         hidden: width of the heads.
+        norm: of the hidden layers of the values' heads; 'layer' keeps values of actions that no data
+            hold within bounds (Ball et al. 2023, arXiv 2302.02948). Not in the paper.
         goal_input: also read the goal (*, 7) of `goal_key`, which joins the feature as time left does.
         table_input: also read the table's plane, as GraspActor does.
         state_inputs: further observations, as GraspActor reads them.
@@ -79,6 +82,7 @@ class GraspCritic(GraspNetwork):
         fusion: Literal["early", "late"] = "early",
         action_bound: Sequence[float] = ACTION_BOUND,
         hidden: int = 256,
+        norm: Norm = "none",
         goal_input: bool = False,
         table_input: bool = False,
         state_inputs: StateInputs | None = None,
@@ -107,6 +111,7 @@ class GraspCritic(GraspNetwork):
             bound,
             hidden,
             num_q,
+            norm=norm,
             early=early,
             predicts_goal=goal_prediction,
             freeze=freeze_encoder,
@@ -131,6 +136,7 @@ class _CriticNetwork(EncoderNetwork):
         hidden: int,
         num_q: int,
         *,
+        norm: Norm,
         early: bool,
         predicts_goal: bool,
         freeze: bool,
@@ -141,7 +147,7 @@ class _CriticNetwork(EncoderNetwork):
         if early and dim is None:
             raise ConfigError("fusion='early' needs a cloud or an image; features take fusion='late'.")
         self.reads_action_early, self.channel_dim = early, dim or -1
-        self.value_heads = nn.ModuleList(head(feature_size, hidden, 1) for _ in range(num_q))
+        self.value_heads = nn.ModuleList(head(feature_size, hidden, 1, norm=norm) for _ in range(num_q))
         self.goal_head = GoalHead(feature_size, hidden) if predicts_goal else None
         self.register_buffer("bound", bound)
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import GOAL_SIZE
 from torchgrasp.modules.batch_parts import encode_in_parts
-from torchgrasp.modules.layers import mlp, shrink_last_layer
+from torchgrasp.modules.layers import Norm, mlp, shrink_last_layer
 
 # Heights are divided by it, as PointNet divides coordinates: about the size of an object, metres.
 _HEIGHT_SCALE = 0.1
@@ -179,9 +179,9 @@ def bound_tensor(action_bound: Sequence[float]) -> Tensor:
     return torch.as_tensor(numbers, dtype=torch.float32)
 
 
-def head(in_features: int, hidden: int, out_features: int) -> nn.Sequential:
-    """Three fully connected layers with ReLU between them (Sec. 6.3)."""
-    return mlp((in_features, hidden, hidden, out_features))
+def head(in_features: int, hidden: int, out_features: int, *, norm: Norm = "none") -> nn.Sequential:
+    """Three fully connected layers with ReLU between them (Sec. 6.3), and `norm` before each ReLU."""
+    return mlp((in_features, hidden, hidden, out_features), norm=norm)
 
 
 class GoalHead(nn.Module):

@@ -56,6 +56,8 @@ class GraspTD3BCLoss(BootstrappedLoss):
         action_bound: largest magnitude of each action component, to which target actions are clipped.
         action_spec: instead of it, the action's Bounded spec, or a Composite that holds it: of an
             environment, or of TorchRL's Actor.
+        value_limits: least and largest value that is possible, (0, 1) of an episode that ends with a success
+            or without; targets are clipped to them. None clips nothing. Not in the paper.
         staggered_targets: keep a second set of target parameters for the values after the first, for
             StaggeredTargetUpdate; without it one pass gives all target values. A list of critics
             needs no second set.
@@ -121,6 +123,7 @@ class GraspTD3BCLoss(BootstrappedLoss):
         noise_clip: float = 0.5,
         action_bound: Sequence[float] | None = None,
         action_spec: TensorSpec | None = None,
+        value_limits: Sequence[float] | None = None,
         staggered_targets: bool = True,
         reduction: str | None = None,
         use_prioritized_weights: bool | Literal["auto"] = "auto",
@@ -134,6 +137,7 @@ class GraspTD3BCLoss(BootstrappedLoss):
         self._adopt_networks(actor_network, critic_network, staggered_targets)
         self.bc_weight, self.aux_weight, self.hindsight = bc_weight, aux_weight, hindsight
         self.distance, self.goal_distance = distance, goal_distance
+        self.value_limits = _check_limits(value_limits)
         self.smoothing = TargetSmoothing(
             policy_noise=policy_noise,
             noise_clip=noise_clip,
@@ -255,7 +259,8 @@ class GraspTD3BCLoss(BootstrappedLoss):
         acted = self._run(self.actor_network, params, following, keep_statistics=True, predict_goal=False)
         following.set(self._key("action"), self.smoothing(self._written(acted, "action")))
         least = self._target_values(following).amin(dim=-1, keepdim=True)
-        return self._look_ahead(tensordict, least)
+        target = self._look_ahead(tensordict, least)
+        return target if self.value_limits is None else target.clamp(*self.value_limits)
 
     def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The next states; no entry of the present ones stands in for what they lack."""
@@ -296,3 +301,15 @@ class GraspTD3BCLoss(BootstrappedLoss):
         predicted = self._written(written, "goal_prediction")
         term = self._goal_term(predicted, tensordict, self.goal_distance, success_only=self.hindsight)
         return self.aux_weight * term
+
+
+def _check_limits(value_limits: Any) -> tuple[float, float] | None:
+    if value_limits is None:
+        return None
+    try:
+        low, high = map(float, value_limits)
+    except (TypeError, ValueError):
+        low, high = 0.0, 0.0
+    if not low < high:
+        raise ConfigError(f"value_limits={value_limits}: give the least and the largest value, as in (0, 1).")
+    return low, high
