@@ -11,6 +11,7 @@ import time
 
 from omegaconf import DictConfig
 
+from torchgrasp import keys
 from torchgrasp.config import (
     LEARNED_FROM,
     PREDICTED_FROM,
@@ -26,6 +27,7 @@ from torchgrasp.config import (
     predict_grasps,
     prepare_objects,
     recipe_main,
+    watch_values,
     write_page,
 )
 from torchgrasp.data.files import try_folder
@@ -46,20 +48,25 @@ def evaluate(cfg: DictConfig) -> dict:
     observed_shapes(cfg)
     try_folder(str(cfg.output_dir))
     name, scenes = str(cfg.policy), describe_scenes(cfg)
-    policy = make_policy(cfg, name)
+    policy, values = watch_values(cfg, make_policy(cfg, name))
     predictors = make_predictors(cfg, name) if cfg.grasp_prediction else {}
     by = {"learner_steps": console.learner_steps} if name == "takeover" else {}
     failed, predicted = FailurePictures(), GraspPictures()
+    watched = [failed.add] if values is None else [failed.add, values.watch]
     sizes = {"num_episodes": cfg.evaluation.episodes, "num_envs": cfg.evaluation.num_envs}
-    with make_pool(cfg, keep=PREDICTED_FROM if predictors else LEARNED_FROM) as pool:
+    keep = (*(PREDICTED_FROM if predictors else LEARNED_FROM), keys.STATE_ACTION_VALUE)
+    with make_pool(cfg, keep=keep) as pool:
         prepare_objects(cfg, "test")
-        table = evaluate_policy(pool, policy, **sizes, description=name, by=by, watch=failed.add)
+        table = evaluate_policy(pool, policy, **sizes, description=name, by=by, watch=watched)
+        if values is not None:
+            table["value_quality"] = values.summary()
         if predictors:
             table["grasp_prediction"] = predict_grasps(cfg, pool, predictors, predicted.add)
     console.print_comparison({name: table}, episodes=cfg.evaluation.episodes, scenes=scenes)
     console.print_failures(table)
     console.print_learner_steps(table)
     console.print_grasp_prediction(table)
+    console.print_value_quality(table)
     run_dir = open_run_dir(cfg, "evaluate")
     if cfg.video.episodes:
         count = min(cfg.video.episodes, cfg.evaluation.episodes)

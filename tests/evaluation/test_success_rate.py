@@ -39,7 +39,7 @@ def test_as_many_episodes_as_asked_for(pool):
         num_envs=2,
         description="standing still",
         by={"worlds": lambda episode: f"world {episode.world}"},
-        watch=watched.append,
+        watch=[watched.append],
     )
     assert [(each.number, each.world) for each in watched] == [(0, 0), (0, 1), (1, 0)]
     assert (table["episodes"], table["success_rate"], table["env_steps"]) == (3, 0.0, 9)
@@ -54,7 +54,7 @@ def test_success_is_what_the_environment_pays():
     with SerialPool({"test": functools.partial(make_env, 2, 20)}) as pool:
         expert = ExpertPolicy(OBJECTS, horizon=20)
         table = evaluate_policy(
-            pool, expert, num_episodes=4, num_envs=2, description="expert", watch=watched.append
+            pool, expert, num_episodes=4, num_envs=2, description="expert", watch=[watched.append]
         )
     rewards = [float(each.steps["next", "reward"].sum()) for each in watched]
     assert 0 < sum(rewards) == table["success_rate"] * 4

@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 from recipes.evaluate import evaluate
 from tests.recipes.runner import find_run
 from torchgrasp.config.networks import make_networks
-from torchgrasp.errors import CheckpointError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import save_weights
 
 SMALL = ["objects.num_objects=4", "evaluation.num_objects=4", "objects.num_grasps=100"]
@@ -47,6 +47,18 @@ def test_a_trained_policy_brings_its_parts_along_and_does_what_it_did_at_the_end
     assert again["objects"] == summary["objects"]
     assert again["env_steps"] == summary["comparison"]["policy"]["env_steps"]
     assert "4 scenes of the test split" in capsys.readouterr().out
+
+
+def test_a_critic_says_what_it_thinks_of_the_policy(run_evaluate, untrained, tmp_path, capsys):
+    run_evaluate(f"policy={untrained()}", "episodes=4", "value_quality=0.95")
+    told = read_summary(tmp_path)["value_quality"]
+    assert told["episodes"] == 4 and {"25", "10", "1"} < set(told["steps_left"])  # of 28 steps
+    assert "The critic's values in 4 episodes, by steps left" in capsys.readouterr().out
+
+
+def test_who_has_no_critic_is_told(run_evaluate):
+    with pytest.raises(ConfigError, match=r"value_quality=1\.0 with policy=expert, which has no critic"):
+        run_evaluate("policy=expert", "value_quality=1.0")
 
 
 @pytest.mark.slow

@@ -42,3 +42,4 @@ from torchgrasp.config.training_checks import check_training as check_training
 from torchgrasp.config.transition_storage import make_experience as make_experience
 from torchgrasp.config.transition_storage import make_row as make_row
 from torchgrasp.config.value_checks import check_values as check_values
+from torchgrasp.config.value_quality import watch_values as watch_values

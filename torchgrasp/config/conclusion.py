@@ -18,7 +18,7 @@ def conclude(run: Run) -> dict:
     """Measure the policy and the baselines on the same scenes; write and print the summary, and return it."""
     cfg, learner = run.cfg, run.learner
     failed, predicted = FailurePictures(), GraspPictures()
-    tables = {"policy": run.evaluate(learner.policy, "policy", watch=failed.add)}
+    tables = {"policy": run.evaluate(learner.policy, "policy", watch=[failed.add])}
     tables |= run.results
     for name in cfg.evaluation.baselines:
         tables[name] = run.evaluate(make_policy(cfg, name), name)

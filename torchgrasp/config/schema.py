@@ -238,6 +238,7 @@ class Evaluate(Section):
     collector: Collector
     evaluation: Evaluation
     grasp_prediction: Switch
+    value_quality: Annotated[float, between(0.0, 1.0)] | None = None
     video: Video
     model: Any = None
     host: Annotated[str, StringConstraints(min_length=1)] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from torchgrasp.evaluation.success import SuccessTable
 from torchgrasp.rollouts import Episode, EpisodePool
@@ -18,7 +18,7 @@ def evaluate_policy(
     num_envs: int,
     description: str,
     by: Mapping[str, Callable[[Episode], str]] | None = None,
-    watch: Callable[[Episode], None] | None = None,
+    watch: Iterable[Callable[[Episode], None]] = (),
 ) -> dict:
     """Success of a policy on the first scenes of the pool's environment `test`, and the steps that it took.
 
@@ -29,12 +29,12 @@ def evaluate_policy(
         num_envs: worlds of the environment; with its seed they fix the scenes.
         description: of the progress bar.
         by: {name: function} that names the group of an episode; adds a table of the groups under each name.
-        watch: is shown every episode that counts.
+        watch: each is shown every episode that counts.
 
     Returns:
         `SuccessTable.summary()`, the tables of `by`, and `env_steps`.
     """
-    table, num_steps = SuccessTable(), 0
+    table, num_steps, watchers = SuccessTable(), 0, list(watch)
     groups = {name: SuccessTable() for name in by or {}}
     episodes = run_episodes(pool, "test", policy, num_episodes=num_episodes, num_envs=num_envs)
     with Progress(num_episodes, description=description, unit="episode") as progress:
@@ -42,8 +42,8 @@ def evaluate_policy(
             table.add(episode.object_name, episode.success, cause=episode.failure)
             for name, group in (by or {}).items():
                 groups[name].add(group(episode), episode.success, cause=episode.failure)
-            if watch is not None:
-                watch(episode)
+            for each in watchers:
+                each(episode)
             num_steps += len(episode.steps)
             progress.update(success_rate=table.success_rate)
     return {**table.summary(), **{name: each.rows() for name, each in groups.items()}, "env_steps": num_steps}

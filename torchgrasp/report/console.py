@@ -79,6 +79,19 @@ def _counts(name: str, row: Table) -> str:
     return f"{printable(name):30s} {row['successes']:4d} of {row['episodes']:4d}  {_rate(row)}"
 
 
+def print_value_quality(table: Table) -> None:
+    """What a critic's values know of the end of an episode, by the steps left."""
+    quality = table.get("value_quality")
+    if quality is None:
+        return
+    print(f"\nThe critic's values in {quality['episodes']} episodes, by steps left")
+    print("  steps left  area under the curve  value of successes  of failures  error  of the rate alone")
+    for left, row in quality["steps_left"].items():
+        names = ("auc", "value_of_successes", "value_of_failures", "error", "error_of_rate")
+        cells = ["-" if row[name] is None else f"{row[name]:.3f}" for name in names]
+        print("  {:>10}  {:>20}  {:>18}  {:>11}  {:>5}  {:>17}".format(left, *cells))
+
+
 def _rate(row: Table) -> str:
     low, high = (100 * bound for bound in row["success_ci95"])
     return f"{100 * row['success_rate']:5.1f} %  [{low:.1f}, {high:.1f}]"
