@@ -40,7 +40,7 @@ def train(cfg: DictConfig) -> dict:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         pretrain(run)
         imitate(run)
-        return conclude(run)
+        return conclude(run, phase="DAgger")
 
 
 def check_rollouts(cfg: DictConfig) -> None:

@@ -37,7 +37,7 @@ def train(cfg: DictConfig) -> dict:
         run.begin(known)
         run.measure_once("policy before fine-tuning")
         tune(run)
-        return conclude(run)
+        return conclude(run, phase="fine-tuning")
 
 
 def tune(run: Run[ActorCriticLearner]) -> None:

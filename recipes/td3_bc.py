@@ -37,7 +37,7 @@ def train(cfg: DictConfig) -> dict:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         pretrain(run)
         reinforce(run)
-        return conclude(run)
+        return conclude(run, phase="reinforcement")
 
 
 def pretrain(run: Run[ActorCriticLearner]) -> None:

@@ -3,7 +3,7 @@ import torch
 from tensordict import TensorDict
 
 from tests.run_files import success_table
-from torchgrasp.evaluation.success import SuccessTable
+from torchgrasp.evaluation.success import SuccessTable, find_gain
 from torchgrasp.report import console
 from torchgrasp.rollouts.episode_pool import Episode
 
@@ -15,6 +15,13 @@ def test_policies_are_printed_with_the_policy_last(capsys):
     assert head == "Success on the same 10 scenes of the test split, 95 % interval"
     # Wilson's interval of 8 of 10, by hand.
     assert expert.split()[:3] == ["expert", "100.0", "%"] and policy.split("  ")[-1] == "[49.0, 94.3]"
+
+
+def test_gains_are_printed_below_in_points(capsys):
+    gain = find_gain(success_table(8), success_table(10))
+    assert gain["gain"] == pytest.approx(-0.2) and gain["ci95"][0] < -0.2 < gain["ci95"][1]
+    console.print_gains({"added by reinforcement": gain})
+    assert capsys.readouterr().out.split()[:5] == ["added", "by", "reinforcement", "-20.0", "points"]
 
 
 def test_failures_are_printed_with_their_objects(capsys):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
+from typing import Any
 
-from torchgrasp.evaluation.intervals import wilson_interval
+from torchgrasp.evaluation.intervals import newcombe_interval, wilson_interval
 
 
 class SuccessTable:
@@ -85,3 +87,16 @@ class SuccessTable:
             "failures": self.failures(),
             "never_lifted": self.never_lifted(),
         }
+
+
+def find_gain(table: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """By how much the success rate of one summary of a table is above that of another: `gain`, and `ci95`.
+
+    The interval is Newcombe's, which takes the episodes of both as independent; on the same scenes it is
+    wider than it need be.
+    """
+    counts = []
+    for each in (table, before):
+        counts += [sum(row["successes"] for row in each["objects"].values()), each["episodes"]]
+    interval = newcombe_interval(*counts)
+    return {"gain": table["success_rate"] - before["success_rate"], "ci95": list(interval)}

@@ -27,6 +27,13 @@ def print_comparison(tables: Mapping[str, Table], *, episodes: int, scenes: str)
         print(f"  {printable(name):30s} {_rate(table)}")
 
 
+def print_gains(gains: Mapping[str, Table]) -> None:
+    """Differences of success rates in points, below the comparison."""
+    for name, gain in gains.items():
+        points, low, high = (100 * each for each in (gain["gain"], *gain["ci95"]))
+        print(f"  {printable(name):30s} {points:+5.1f} points  [{low:+.1f}, {high:+.1f}]")
+
+
 def print_failures(table: Table) -> None:
     """Why episodes failed, on how many objects none succeeded, and the worst objects with their causes."""
     lifted = len(table["objects"]) - len(table["never_lifted"])
