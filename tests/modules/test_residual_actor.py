@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.data import Bounded, LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import PendulumEnv
@@ -13,7 +13,7 @@ from torchrl.envs.utils import step_mdp
 from torchrl.modules import MLP
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules import GraspActor, PointNet, ResidualActor
+from torchgrasp.modules import GraspActor, PointNet, ResidualActor, split_network
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
 STATE = ("angle", "rate")
@@ -104,6 +104,26 @@ def test_what_else_the_base_policy_writes_is_passed_on() -> None:
     assert actor.out_keys == ["action", "goal_prediction", "base_action"]
     state = TensorDict({"points": torch.rand(2, 64, 4), "time_left": torch.ones(2, 1)}, [2])
     assert torch.equal(actor(state.copy())["goal_prediction"], base.eval()(state.copy())["goal_prediction"])
+
+
+def test_the_correction_may_read_what_the_base_policy_writes() -> None:
+    """One pass of the encoder serves both."""
+    encoder, rest = split_network(GraspActor(PointNet, freeze_encoder=True), "feature")
+    base: list = [encoder, rest]
+    size = encoder.module.encoder.out_features
+    actor = ResidualActor(
+        TensorDictSequential(*base),
+        MLP(size + 6, 6),
+        in_keys=["feature"],
+        action_bound=[0.06] * 3 + [0.3] * 3,
+    )
+    assert actor.in_keys == ["points", "time_left"]
+    state = TensorDict({"points": torch.rand(2, 64, 4), "time_left": torch.ones(2, 1)}, [2])
+    push(actor, 50.0)
+    written = actor(state)
+    assert written["feature"].shape == (2, size)
+    moved = written["action"] - written["base_action"]
+    assert torch.allclose(moved, torch.tensor([0.006] * 3 + [0.03] * 3).expand(2, 6), atol=1e-6)
 
 
 def test_any_batch_will_do() -> None:

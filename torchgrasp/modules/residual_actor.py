@@ -38,7 +38,8 @@ class ResidualActor(TensorDictModuleBase):
             the half range about the limits' middle, to (*, A) numbers; TorchRL's MLP is one. Its last
             linear layer is set to zero.
         scale: the largest correction, as a share of the half range: 0.1 to 0.3 in the sources above.
-        in_keys: what the correction reads besides the base action.
+        in_keys: what the correction reads besides the base action: observations, or what the base policy
+            writes, such as the feature of an encoder that both share.
         action_bound: largest magnitude of each component of the action.
         action_spec: instead of it, the action's Bounded spec, or a Composite that holds it.
         action_key: of the action.
@@ -94,7 +95,8 @@ class ResidualActor(TensorDictModuleBase):
         low, high = find_limits(action_bound, action_spec, action_key)
         self.register_buffer("low", low, persistent=False)
         self.register_buffer("high", high, persistent=False)
-        self.in_keys = list(dict.fromkeys([*map(unravel_key, base.in_keys), *self._read]))  # pyright: ignore
+        observed = [key for key in self._read if key not in written]
+        self.in_keys = list(dict.fromkeys([*map(unravel_key, base.in_keys), *observed]))  # pyright: ignore
         self.out_keys = [*written, unravel_key(base_action_key)]  # pyright: ignore
 
     def train(self, mode: bool = True) -> ResidualActor:
@@ -111,7 +113,7 @@ class ResidualActor(TensorDictModuleBase):
         based = written.get(self.action_key)
         low, high = self.low.to(based), self.high.to(based)
         half, middle = (high - low) / 2, (high + low) / 2
-        inputs = [tensordict.get(key) for key in self._read]
+        inputs = [tensordict.get(key) if key in self.in_keys else written.get(key) for key in self._read]
         correction = self.correction(*inputs, (based - middle) / half)
         action = (based + self.scale * half * correction.tanh()).clamp(low, high)
         for key in self.out_keys[:-1]:
