@@ -19,6 +19,7 @@ from torchgrasp.objects import (
 )
 from torchgrasp.objects.build import BUILD_VERSION
 from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS
+from torchgrasp.objects.household import HOUSEHOLD
 from torchgrasp.objects.packaged import INDEX_DIR, ObjectIndex, read_index
 from torchgrasp.sim import Physics, prepare_resting, settled_poses
 from torchgrasp.sim.reach import clear_grasps
@@ -57,6 +58,8 @@ def make_set(args: argparse.Namespace) -> ObjectSet:
     common = {"num_objects": args.limit, "num_grasps": args.num_grasps, "workers": args.workers}
     if args.set == "procedural":
         return ProceduralObjects(args.split or "train", **common)
+    if args.set == "household":
+        return ProceduralObjects(args.split or "train", families=tuple(HOUSEHOLD), **common)
     if args.set in _PACKAGED:
         return _PACKAGED[args.set](args.split, usable_only=False, **common)
     if args.path is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 HELP = "build a set of objects and list which of them can be grasped"
-SETS = ("procedural", "ycb", "random_urdfs", "folder", "acronym")
+SETS = ("procedural", "household", "ycb", "random_urdfs", "folder", "acronym")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,6 +12,7 @@ from torchgrasp.errors import ConfigError, ObjectError, check_whole
 from torchgrasp.objects.build import BUILD_VERSION, build_object, graspable_at_rest
 from torchgrasp.objects.cache import cache_key
 from torchgrasp.objects.families import FAMILIES, HELD_OUT, TRAINED
+from torchgrasp.objects.household import HOUSEHOLD, LEAST_AT_REST
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import MIN_GRASPS, SPLITS, ObjectSet, Split
 
@@ -20,6 +21,7 @@ _DEFAULT_SIZE: dict[Split, int] = {"train": 320, "val": 40, "test": 80}
 _LICENCE = "MIT, procedural"
 _ATTEMPTS = 20
 _GRASPABLE = 0.5  # probability of resting so that the table leaves grasps
+_ALL = {**FAMILIES, **HOUSEHOLD}
 
 
 class ProceduralObjects(ObjectSet):
@@ -27,14 +29,16 @@ class ProceduralObjects(ObjectSet):
 
     The families take turns, so that a longer set begins with the shorter one's objects. Two families
     (hammer, dumbbell) occur in the test split only. A draw with fewer than 100 grasps, or none on the
-    table in most of its resting poses, is drawn again.
+    table in most of its resting poses, is drawn again; of wide and flat boxes (`household`) a tenth
+    of those poses is enough.
 
     Args:
         split: ``train``, ``val`` or ``test``.
         num_objects: how many; 320, 40 and 80 for the splits by default.
         seed: of the whole set.
         num_grasps: at most so many grasps an object.
-        families: names to choose from; by default all of the split's.
+        families: names to choose from, those of `household.HOUSEHOLD` among them; by default the
+            split's of `families.FAMILIES` alone.
         cache_dir: where built objects are kept.
         workers: processes that `prepare` uses.
 
@@ -90,14 +94,15 @@ class ProceduralObjects(ObjectSet):
         for attempt in range(_ATTEMPTS):
             rng = np.random.default_rng(np.random.SeedSequence((*self._entropy(index), attempt)))
             built = build_object(
-                FAMILIES[family](rng),
+                _ALL[family](rng),
                 name=self._names[index],
                 family=family,
                 licence=_LICENCE,
                 num_grasps=self.num_grasps,
                 rng=rng,
             )
-            if len(built.grasps) >= MIN_GRASPS and graspable_at_rest(built) >= _GRASPABLE:
+            clear = graspable_at_rest(built)
+            if len(built.grasps) >= MIN_GRASPS and clear >= LEAST_AT_REST.get(family, _GRASPABLE):
                 return built
         raise ObjectError(
             f"{self._names[index]} found no shape that can be grasped in {_ATTEMPTS} draws:"
@@ -107,9 +112,10 @@ class ProceduralObjects(ObjectSet):
 
 def _families(split: Split, chosen: Sequence[str] | None) -> tuple[str, ...]:
     """The families of a split, checked against those that it may hold."""
-    allowed = tuple(FAMILIES) if split == "test" else tuple(TRAINED)
+    usual = tuple(FAMILIES) if split == "test" else tuple(TRAINED)
     if chosen is None:
-        return allowed
+        return usual
+    allowed = (*usual, *HOUSEHOLD)
     for name in chosen:
         if name in HELD_OUT and split != "test":
             raise ConfigError(

@@ -154,19 +154,23 @@ def _wall_part(outer: Profile, inner: Profile, level: int, start: float, step: f
     return np.concatenate(rings)
 
 
-def tube(path: Points, width: float, depth: float, *, segments: int = 10) -> Solid:
-    """An elliptic tube, `width` along y and `depth` across, along a path (N, 3) in the x-z plane."""
+def tube(path: Points, width: Points | float, depth: Points | float, *, segments: int = 10) -> Solid:
+    """An elliptic tube along a path (N, 3) in the x-z plane: `width` along y, `depth` across.
+
+    Both may change along the path, (N,).
+    """
     ahead = np.gradient(path, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
     across = np.cross(ahead, (0.0, 1.0, 0.0))
     angles = np.arange(segments) * 2 * math.pi / segments
-    side = width / 2 * np.sin(angles)[:, None] * np.array((0.0, 1.0, 0.0))
-    rings = path[:, None] + depth / 2 * np.cos(angles)[None, :, None] * across[:, None] + side
+    halves = [np.broadcast_to(size, len(path))[:, None, None] / 2 for size in (width, depth)]
+    side = halves[0] * np.sin(angles)[:, None] * np.array((0.0, 1.0, 0.0))
+    rings = path[:, None] + halves[1] * np.cos(angles)[None, :, None] * across[:, None] + side
     parts = tuple(np.concatenate(rings[i : i + 2]) for i in range(len(path) - 1))
-    return Solid(rings.reshape(-1, 3), _tube_faces(len(path), segments), parts)
+    return Solid(rings.reshape(-1, 3), tube_faces(len(path), segments), parts)
 
 
-def _tube_faces(rings: int, segments: int) -> NDArray[np.int64]:
+def tube_faces(rings: int, segments: int) -> NDArray[np.int64]:
     """Faces of a closed tube of `rings` x `segments` vertices, ends included."""
     a = np.arange(segments)
     b = (a + 1) % segments
