@@ -1,4 +1,4 @@
-"""The contact sheet of object sets, a row each."""
+"""The contact sheets of object sets, a row each, and of the families of household shapes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from torchgrasp.objects import (
     RandomUrdfObjects,
     YcbObjects,
 )
+from torchgrasp.objects.household import HOUSEHOLD
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import CameraIntrinsics, Physics, RenderCamera, View, look_at, settled_poses
 from torchgrasp.sim.kinematics import READY_POSTURE, forward_kinematics
@@ -29,12 +30,13 @@ _ASIDE = READY_POSTURE + np.array([1.6, 0, 0, 0, 0, 0, 0])
 
 
 def picture_objects(folder: Path, meshes: Path) -> None:
-    """Five objects of each set, at rest on the table."""
+    """Five objects of each set and one of each household family, at rest on the table."""
     write_meshes(meshes / "folder")
     folder_objects = FolderObjects(meshes / "folder")
     write_acronym(meshes / "acronym", folder_objects)
     ycb, random_urdfs = YcbObjects("test"), RandomUrdfObjects("test")
     procedural = ProceduralObjects("test", num_objects=10)
+    household = ProceduralObjects("test", families=[*HOUSEHOLD], num_objects=len(HOUSEHOLD))
     mixture = MixtureObjects({"procedural": procedural, "ycb": ycb})
     draws = np.random.default_rng(1)
     rows = {
@@ -47,6 +49,8 @@ def picture_objects(folder: Path, meshes: Path) -> None:
     }
     tiles = [(each.name.removesuffix("-00000"), _at_rest(each)) for row in rows.values() for each in row]
     sheet(folder / "objects.jpg", tiles, columns=5)
+    tiles = [(each.family, _at_rest(each)) for each in household]
+    sheet(folder / "household.jpg", tiles, columns=5)
 
 
 def _at_rest(target: GraspObject) -> np.ndarray:
