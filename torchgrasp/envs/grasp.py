@@ -194,17 +194,58 @@ class GraspEnv(EnvBase):
         """Move the targets that are due, but none into the hand."""
         T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
         for row in rows.tolist():
-            scene, step = self._playing[row], self._steps[row]
-            assert scene is not None
-            if step >= len(scene.moves):
-                continue
-            after = moved(T_base_object[row], scene.moves[step])
-            if not scene.held:
-                points = surface_points(self.objects[scene.object_id])
-                hand = np.linalg.solve(after, T_base_ee[row])[None]
-                if hand_blocked(points, hand, approach=0.0, margin=0.01)[0]:
-                    continue
-            self.worlds.move_target(row, after)
+            after = self._find_move(row, T_base_object[row], T_base_ee[row])
+            if after is not None:
+                self.worlds.move_target(row, after)
+
+    def _find_move(self, row: int, T_base_object: np.ndarray, T_base_ee: np.ndarray) -> np.ndarray | None:
+        """(4, 4) pose that the target of world `row` moves to in this step; None where it stays."""
+        scene, step = self._playing[row], self._steps[row]
+        assert scene is not None
+        if step >= len(scene.moves):
+            return None
+        after = moved(T_base_object, scene.moves[step])
+        if not scene.held:
+            points = surface_points(self.objects[scene.object_id])
+            hand = np.linalg.solve(after, T_base_ee)[None]
+            if hand_blocked(points, hand, approach=0.0, margin=0.01)[0]:
+                return None
+        return after
+
+    def try_last_actions(self, actions: Tensor) -> Tensor:
+        """Whether each of the actions (N, M, A) would lift the target if it were the last one: (N, M) bool.
+
+        Each is taken in a copy of its world as it is now, which then closes its fingers and lifts. The worlds
+        themselves stay as they are, so that an episode goes on as if nothing had been tried. A copy begins at
+        rest, where the arm may still be in motion: of an action that only just holds the outcome may differ.
+
+        The values of a critic's last step are such outcomes, and one state gives as many as are asked for
+        (vine rollouts: Schulman et al. 2015, arXiv 1502.05477, Sec. 5.2). Nothing is lifted where an episode
+        is over.
+
+        Example:
+            >>> from torchgrasp.objects import ProceduralObjects
+            >>> env = GraspEnv(1, objects=ProceduralObjects("train", num_objects=1, num_grasps=100), seed=0)
+            >>> _ = env.reset()
+            >>> env.try_last_actions(torch.zeros(1, 2, 6))
+            tensor([[False, False]])
+        """
+        count, size = self.num_envs, self.actions.size
+        if actions.ndim != 3 or (actions.shape[0], actions.shape[2]) != (count, size):
+            raise ConfigError(
+                f"actions of shape {tuple(actions.shape)}: give (N, M, A), here ({count}, M, {size})."
+            )
+        bound = np.asarray(self.actions.bound)
+        given = np.clip(actions.detach().to("cpu", torch.float64).numpy(), -bound, bound)
+        T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
+        q, repeats = self.worlds.joints[:, :7], given.shape[1]
+        lifted = np.zeros(given.shape[:2], dtype=bool)
+        for row in np.flatnonzero(~self._over).tolist():
+            after = self._find_move(row, T_base_object[row], T_base_ee[row])
+            starts = (np.repeat(each[row][None], repeats, axis=0) for each in (q, T_base_ee))
+            postures = self.actions.posture(*starts, given[row])
+            lifted[row] = self.worlds.try_last(row, postures, T_base_object=after) >= LIFTED
+        return torch.from_numpy(lifted)
 
     def _finish(self, rows: np.ndarray) -> np.ndarray:
         """End the episodes that are due among `rows`; (N, 1) reward of this step."""

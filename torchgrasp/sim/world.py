@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import sapien
@@ -68,6 +68,11 @@ class World:
         self._radius = float(np.linalg.norm(surface_points(placement.target), axis=-1).max())
         self._carried: tuple[np.ndarray, np.ndarray] | None = None
         self._panda.place(placement.q)
+
+    def copy(self) -> World:
+        """Another world in which arm and target are where they are in this one, at rest, the fingers open."""
+        placement = replace(self.placement, q=self.joints[:7], T_base_object=self.T_base_object)
+        return World(placement)
 
     @property
     def joints(self) -> np.ndarray:

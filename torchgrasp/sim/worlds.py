@@ -101,6 +101,35 @@ class Worlds:
             self._read([row])
             self.watcher(row)
 
+    def try_last(
+        self, row: int, postures: np.ndarray, *, T_base_object: np.ndarray | None = None
+    ) -> np.ndarray:
+        """How far the target of world `row` would rise after one more step; the world stays as it is.
+
+        Each of M postures is the last step of a copy of the world, which begins at rest. Then the fingers
+        close and the hand lifts.
+
+        Args:
+            row: of the world.
+            postures: (M, 7) joint angles that the arm is led to.
+            T_base_object: (4, 4) pose that the target moves to before the step, None where it stays.
+
+        Returns:
+            (M,) metres.
+        """
+        return np.array([self._try(row, q, T_base_object) for q in postures])
+
+    def _try(self, row: int, q: np.ndarray, T_base_object: np.ndarray | None) -> float:
+        world = self._placed()[row].copy()
+        if T_base_object is not None:
+            world.move_target(T_base_object)
+        world.drive(q)
+        before = world.T_base_object[2, 3]
+        world.close_fingers()
+        for _ in world.lift():
+            pass
+        return float(world.T_base_object[2, 3] - before)
+
     def close_and_lift(self, rows: Sequence[int]) -> np.ndarray:
         """Close the fingers and lift in the worlds `rows`; (len(rows),) metres that each target rose."""
         worlds = self._placed()

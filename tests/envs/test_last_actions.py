@@ -1,0 +1,78 @@
+"""Actions tried in copies of the worlds, as the last of an episode."""
+
+import pytest
+import torch
+from torchrl.envs.utils import step_mdp
+
+from tests.envs.test_grasp_env import make_env
+from torchgrasp.envs import GraspEnv
+from torchgrasp.errors import ConfigError
+from torchgrasp.objects import ProceduralObjects
+from torchgrasp.planning import ExpertPolicy
+
+OBJECTS = ProceduralObjects("train", num_objects=4, num_grasps=100)
+AWAY = torch.tensor([0.0, 0.0, -0.06, 0.0, 0.0, 0.0])
+
+
+def drive(env: GraspEnv, steps: int):
+    """The state after so many steps of the expert, with its next action."""
+    expert = ExpertPolicy(env.objects, horizon=env.horizon, action_space=env.actions)
+    state = env.reset()
+    for _ in range(steps):
+        state = step_mdp(env.step(expert(state)))
+    return expert(state)
+
+
+@pytest.fixture(scope="module")
+def before_the_end():
+    env = make_env(3, horizon=22, objects=OBJECTS)
+    return env, drive(env, 21)
+
+
+def test_what_is_tried_comes_true(before_the_end):
+    """The expert's last action lifts in a copy as it then does; away from the object nothing is lifted."""
+    env, state = before_the_end
+    tried = torch.stack((state["action"], AWAY.expand(3, 6)), dim=1)
+    lifted = env.try_last_actions(tried)
+    assert lifted.dtype == torch.bool and not lifted[:, 1].any()
+    happened = env.step(state)["next", "reward"].squeeze(-1) > 0
+    assert happened.sum() >= 2 and torch.equal(lifted[:, 0], happened)
+
+
+def test_trying_changes_nothing():
+    """An episode goes on to the same end, bit for bit, whether actions were tried on its way or not."""
+    ends = []
+    for tries in (0, 2):
+        env = make_env(2, horizon=6, objects=OBJECTS)
+        state = drive(env, 3)
+        if tries:
+            env.try_last_actions(0.02 * torch.randn(2, tries, 6))
+        ends.append(env.step(state)["next"])
+    for key in ("T_base_ee", "T_base_object", "joints", "joint_velocities"):
+        assert torch.equal(ends[0][key], ends[1][key])
+
+
+def test_a_target_that_moves_in_this_step_moves_in_the_copies_too():
+    """A posture that lifts the target where it is lifts nothing once the target has gone."""
+    env = make_env(1, horizon=22, objects=OBJECTS)
+    state = drive(env, 21)
+    q, hand = env.worlds.joints[:, :7], env.worlds.T_base_ee
+    posture = env.actions.posture(q, hand, state["action"].double().numpy())
+    gone = env.worlds.T_base_object[0]
+    gone[0, 3] += 0.2
+    stays, moves = (env.worlds.try_last(0, posture, T_base_object=pose) for pose in (None, gone))
+    assert stays[0] > 0.08 > moves[0] and abs(moves[0]) < 0.01
+
+
+def test_where_an_episode_is_over_nothing_is_lifted():
+    env = make_env(2, horizon=1, objects=OBJECTS)
+    env.step(env.reset().set("action", torch.zeros(2, 6)))
+    assert not env.try_last_actions(torch.zeros(2, 3, 6)).any()
+
+
+@pytest.mark.parametrize("shape", [(2, 6), (3, 1, 6), (2, 1, 7)])
+def test_actions_of_another_shape_are_refused(shape):
+    env = make_env(2, objects=OBJECTS)
+    env.reset()
+    with pytest.raises(ConfigError, match=r"give \(N, M, A\), here \(2, M, 6\)"):
+        env.try_last_actions(torch.zeros(shape))
