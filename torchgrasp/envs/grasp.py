@@ -242,8 +242,8 @@ class GraspEnv(EnvBase):
         lifted = np.zeros(given.shape[:2], dtype=bool)
         for row in np.flatnonzero(~self._over).tolist():
             after = self._find_move(row, T_base_object[row], T_base_ee[row])
-            starts = (np.repeat(each[row][None], repeats, axis=0) for each in (q, T_base_ee))
-            postures = self.actions.posture(*starts, given[row])
+            start, hand = (np.repeat(each[row][None], repeats, axis=0) for each in (q, T_base_ee))
+            postures = self.actions.posture(start, hand, given[row])
             lifted[row] = self.worlds.try_last(row, postures, T_base_object=after) >= LIFTED
         return torch.from_numpy(lifted)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Self
 
 import torch
@@ -12,7 +13,7 @@ from torchrl.objectives import TD3Loss, ValueEstimators
 from torchrl.objectives.utils import dispatch_value_estimator
 from torchrl.objectives.value import ValueEstimatorBase
 
-from torchgrasp.errors import UnsupportedError, check_range
+from torchgrasp.errors import ConfigError, UnsupportedError, check_range
 from torchgrasp.objectives.grasp_loss import GraspLoss, unique_keys
 
 # Sec. 6.4.
@@ -31,9 +32,14 @@ class BootstrappedLoss(GraspLoss):
     """A GraspLoss with a value estimator: TD(0) with the discount 0.95 until another is made.
 
     The estimator is configuration: no checkpoint holds it, and no change of precision rounds its discount.
+    Targets are clipped to `value_limits`, the least and largest value that is possible, where they are given.
     """
 
     default_value_estimator = ValueEstimators.TD0
+
+    def __init__(self, *, value_limits: Sequence[float] | None = None, **options: Any) -> None:
+        super().__init__(**options)
+        self.value_limits = _check_limits(value_limits)
 
     def make_value_estimator(self, value_type: Any = None, **hyperparams: Any) -> Self:
         """Choose how the target looks ahead; everything that TorchRL's TD3Loss takes will do.
@@ -115,4 +121,17 @@ class BootstrappedLoss(GraspLoss):
             ahead.set(unravel_key(("next", self._key(name))), value)
         # 0 times NaN is NaN: what follows an end may be anything.
         next_value = torch.where(terminated, 0.0, next_value)
-        return self.value_estimator.value_estimate(ahead, next_value=next_value)
+        target = self.value_estimator.value_estimate(ahead, next_value=next_value)
+        return target if self.value_limits is None else target.clamp(*self.value_limits)
+
+
+def _check_limits(value_limits: Any) -> tuple[float, float] | None:
+    if value_limits is None:
+        return None
+    try:
+        low, high = map(float, value_limits)
+    except (TypeError, ValueError):
+        low, high = 0.0, 0.0
+    if not low < high:
+        raise ConfigError(f"value_limits={value_limits}: give the least and the largest value, as in (0, 1).")
+    return low, high

@@ -129,7 +129,9 @@ class GraspTD3BCLoss(BootstrappedLoss):
         use_prioritized_weights: bool | Literal["auto"] = "auto",
         generator: torch.Generator | None = None,
     ) -> None:
-        super().__init__(reduction=reduction, use_prioritized_weights=use_prioritized_weights)
+        super().__init__(
+            value_limits=value_limits, reduction=reduction, use_prioritized_weights=use_prioritized_weights
+        )
         check_range("bc_weight", bc_weight, 0.0, 1.0)
         check_range("aux_weight", aux_weight, 0.0, float("inf"))
         if not isinstance(hindsight, bool):
@@ -137,7 +139,6 @@ class GraspTD3BCLoss(BootstrappedLoss):
         self._adopt_networks(actor_network, critic_network, staggered_targets)
         self.bc_weight, self.aux_weight, self.hindsight = bc_weight, aux_weight, hindsight
         self.distance, self.goal_distance = distance, goal_distance
-        self.value_limits = _check_limits(value_limits)
         self.smoothing = TargetSmoothing(
             policy_noise=policy_noise,
             noise_clip=noise_clip,
@@ -259,8 +260,7 @@ class GraspTD3BCLoss(BootstrappedLoss):
         acted = self._run(self.actor_network, params, following, keep_statistics=True, predict_goal=False)
         following.set(self._key("action"), self.smoothing(self._written(acted, "action")))
         least = self._target_values(following).amin(dim=-1, keepdim=True)
-        target = self._look_ahead(tensordict, least)
-        return target if self.value_limits is None else target.clamp(*self.value_limits)
+        return self._look_ahead(tensordict, least)
 
     def _following(self, tensordict: TensorDictBase) -> TensorDictBase:
         """The next states; no entry of the present ones stands in for what they lack."""
@@ -301,15 +301,3 @@ class GraspTD3BCLoss(BootstrappedLoss):
         predicted = self._written(written, "goal_prediction")
         term = self._goal_term(predicted, tensordict, self.goal_distance, success_only=self.hindsight)
         return self.aux_weight * term
-
-
-def _check_limits(value_limits: Any) -> tuple[float, float] | None:
-    if value_limits is None:
-        return None
-    try:
-        low, high = map(float, value_limits)
-    except (TypeError, ValueError):
-        low, high = 0.0, 0.0
-    if not low < high:
-        raise ConfigError(f"value_limits={value_limits}: give the least and the largest value, as in (0, 1).")
-    return low, high
