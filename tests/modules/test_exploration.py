@@ -9,7 +9,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_BOUND
-from torchgrasp.modules import DecayingUniformNoise
+from torchgrasp.modules import DecayingUniformNoise, ExploringStep
 
 
 def _noisy(noise, action=None, kind=ExplorationType.RANDOM):
@@ -78,3 +78,54 @@ def test_wrong_options_are_refused():
         DecayingUniformNoise(1, start=[0.1])
     with pytest.raises(ConfigError, match=r"action_bound=2\.0"):
         DecayingUniformNoise(1, action_bound=2.0)
+
+
+def _moments(episodes: int, step: int, horizon: int = 10) -> TensorDict:
+    """A step (episodes) of as many episodes."""
+    moment = {
+        "world": torch.zeros(episodes, 1, dtype=torch.int64),
+        "episode": torch.arange(episodes)[:, None],
+    }
+    left = torch.full((episodes, 1), 1 - step / horizon)
+    return TensorDict({**moment, "time_left": left, "action": torch.zeros(episodes, 6)}, [episodes])
+
+
+def _changes(step: ExploringStep, episodes: int = 400) -> torch.Tensor:
+    """Changes (episodes, 10, 6) over all steps."""
+    with set_exploration_type(ExplorationType.RANDOM):
+        return torch.stack([step(_moments(episodes, t))["action"] for t in range(10)], dim=1)
+
+
+def test_one_step_of_each_episode_is_changed():
+    changed = _changes(ExploringStep(horizon=10, first=4)).any(-1)
+    assert (changed.sum(-1) == 1).all() and not changed[:, :4].any()
+    assert (changed.sum(0)[4:] > 30).all()  # of 400 / 6 each
+
+
+def test_changes_have_every_size_up_to_the_reach():
+    units = _changes(ExploringStep(horizon=10, reach=0.5)) / torch.tensor(ACTION_BOUND)
+    sizes = units.sum(1).norm(dim=-1)
+    assert sizes.max() <= 0.5 + 1e-6 and sizes.min() < 0.05 and sizes.mean() == pytest.approx(0.25, abs=0.03)
+
+
+def test_the_episode_decides_and_the_seed():
+    first, again, other = (_changes(ExploringStep(horizon=10, seed=seed)) for seed in (0, 0, 1))
+    assert torch.equal(first, again) and not torch.equal(first, other)
+
+
+def test_changed_actions_stay_within_their_bounds():
+    bound = torch.tensor(ACTION_BOUND)
+    assert (_changes(ExploringStep(horizon=10, reach=50.0)).abs() <= bound).all()
+
+
+def test_nothing_is_changed_without_exploration():
+    step = ExploringStep(horizon=10)
+    for kind in (ExplorationType.DETERMINISTIC, ExplorationType.MODE):
+        with set_exploration_type(kind):
+            assert not any(step(_moments(50, t))["action"].any() for t in range(10))
+
+
+@pytest.mark.parametrize("wrong", [{"horizon": 0}, {"horizon": 5, "first": 5}, {"horizon": 5, "reach": -1.0}])
+def test_an_exploring_step_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ConfigError, match=next(reversed(wrong))):
+        ExploringStep(**wrong)

@@ -1,4 +1,4 @@
-"""Exploration noise of Sec. 6.4: uniform, large at first, then small."""
+"""Exploration: noise of Sec. 6.4, uniform, large at first, then small; and one large change an episode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules.heads import bound_tensor
 from torchgrasp.randomness import MomentGenerators
@@ -111,3 +111,78 @@ class DecayingUniformNoise(TensorDictModuleBase):
             noisy = action + unit.to(action) * self.half_range
             tensordict.set(self.action_key, noisy.clamp(-self.bound, self.bound))
         return tensordict
+
+
+class ExploringStep(TensorDictModuleBase):
+    """Changes the action (*, A) of one step of each episode by much, under ExplorationType.RANDOM only.
+
+    The policy acts at all other steps, so that how the episode ends is exactly what that one action is worth
+    under the policy (exploring starts: Sutton and Barto 2018, Sec. 5.3). Noise at every step tells that of a
+    noisy policy. The step is drawn uniformly, the change in a direction at random, of a size that is uniform
+    up to `reach`. It follows the actor: ``TensorDictSequential(actor, step)``.
+
+    Draws belong to an episode where the tensordict names it (`MomentGenerators`).
+
+    Args:
+        horizon: T of the environment.
+        first: first step that may be changed, from 0.
+        reach: largest change, its length (A,) in units of `action_bound`.
+        action_bound: largest magnitude of each component of the action, to which the sum is clipped.
+        seed: of the draws.
+        action_key: what is changed.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
+        >>> step = ExploringStep(horizon=30, first=20)
+        >>> moment = {"world": torch.tensor([[0]]), "episode": torch.tensor([[7]])}
+        >>> with set_exploration_type(ExplorationType.RANDOM):
+        ...     changed = [
+        ...         step(TensorDict({**moment, "time_left": torch.tensor([[1 - t / 30]]),
+        ...                          "action": torch.zeros(1, 6)}, [1]))["action"].any().item()
+        ...         for t in range(30)
+        ...     ]
+        >>> sum(changed), any(changed[:20])
+        (1, False)
+    """
+
+    bound: Tensor
+
+    def __init__(
+        self,
+        *,
+        horizon: int,
+        first: int = 0,
+        reach: float = 1.0,
+        action_bound: Sequence[float] = ACTION_BOUND,
+        seed: int = 0,
+        action_key: NestedKey = keys.ACTION,
+    ) -> None:
+        super().__init__()
+        check_whole("horizon", horizon, 1)
+        check_whole("first", first, 0, horizon - 1)
+        check_range("reach", reach, 0.0, float("inf"))
+        self.horizon, self.first, self.reach, self.action_key = horizon, first, reach, action_key
+        self.register_buffer("bound", bound_tensor(action_bound))
+        self.in_keys = [action_key, keys.TIME_LEFT]  # pyright: ignore[reportAttributeAccessIssue]
+        self.out_keys = [action_key]  # pyright: ignore[reportAttributeAccessIssue]
+        self._generators = MomentGenerators(seed, purpose="ExploringStep", per_episode=True)
+
+    @dispatch()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Change the action in place of the one in `tensordict`, where its step has come."""
+        if interaction_type() is not InteractionType.RANDOM:
+            return tensordict
+        action = tensordict.get(self.action_key)
+        drawn = [self._draw(rng, action.shape[-1]) for rng in self._generators(tensordict)]
+        steps = torch.tensor([step for step, _ in drawn]).reshape(*action.shape[:-1], 1)
+        change = torch.from_numpy(np.array([change for _, change in drawn])).reshape(action.shape)
+        elapsed = ((1.0 - tensordict.get(keys.TIME_LEFT)) * self.horizon).round()
+        due = elapsed == steps.to(elapsed)
+        changed = (action + change.to(action) * self.bound).clamp(-self.bound, self.bound)
+        return tensordict.set(self.action_key, torch.where(due, changed, action))
+
+    def _draw(self, rng: np.random.Generator, size: int) -> tuple[int, np.ndarray]:
+        """The step that is changed, and by how much in units of the bound."""
+        step, direction = int(rng.integers(self.first, self.horizon)), rng.normal(size=size)
+        return step, self.reach * rng.random() * direction / np.linalg.norm(direction)
