@@ -11,6 +11,7 @@ import json
 import hydra
 import torch
 from benchmark_schema import Benchmark
+from critics import benchmark_critics
 from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
@@ -40,6 +41,7 @@ _SUITES = {
     "neighbours": benchmark_neighbours,
     "training": benchmark_training,
     "scale": benchmark_scale,
+    "critics": benchmark_critics,
 }
 # Those that step the environment of this configuration.
 _WITH_OBJECTS = ("env", "resets", "planner")

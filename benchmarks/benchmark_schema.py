@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+from pydantic import StringConstraints
+
 from torchgrasp.config.schema import Env, OpenSection
 from torchgrasp.config.value_types import Count, Device, Positive, at_least, between
 
@@ -57,6 +59,25 @@ class Scale(OpenSection):
     rounds: Positive
 
 
+class Critics(OpenSection):
+    """Of the suite `critics`."""
+
+    policy: str
+    overrides: list[str]
+    episodes: Positive
+    held_out: Positive
+    states: Positive
+    tries: Positive
+    first: Count
+    reach: Annotated[float, between(0.0, 10.0)]
+    gamma: Annotated[float, between(0.0, 1.0)]
+    updates: Positive
+    learning_rate: Annotated[float, between(1e-9, 1.0)]
+    ways: list[
+        Annotated[str, StringConstraints(pattern=r"^(return|[1-9]\d*-step)(, layer)?(, [1-9]\d* values)?$")]
+    ]
+
+
 class Workers(OpenSection):
     """Who prepares objects."""
 
@@ -80,5 +101,6 @@ class Benchmark(OpenSection):
     neighbours: Neighbours
     training: Training
     scale: Scale
+    critics: Critics
     env: Env
     collector: Workers
