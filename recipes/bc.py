@@ -40,7 +40,8 @@ def train(cfg: DictConfig) -> dict:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         pretrain(run)
         imitate(run)
-        return conclude(run, phase="DAgger")
+        dagger = "learner" in cfg.online.rollouts and not cfg.offline.updates
+        return conclude(run, phase="DAgger" if dagger else "more imitation")
 
 
 def check_rollouts(cfg: DictConfig) -> None:

@@ -1,12 +1,14 @@
 """Actions tried in copies of the worlds, as the last of an episode."""
 
+import numpy as np
 import pytest
 import torch
 from torchrl.envs.utils import step_mdp
 
 from tests.envs.test_grasp_env import make_env
 from torchgrasp.envs import GraspEnv
-from torchgrasp.errors import ConfigError
+from torchgrasp.envs.motion import Presentation, TargetMotion
+from torchgrasp.errors import ConfigError, TorchgraspError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy
 
@@ -40,7 +42,7 @@ def test_what_is_tried_comes_true(before_the_end):
 
 
 def test_trying_changes_nothing():
-    """An episode goes on to the same end, bit for bit, whether actions were tried on its way or not."""
+    """The next step is the same, bit for bit, whether actions were tried before it or not."""
     ends = []
     for tries in (0, 2):
         env = make_env(2, horizon=6, objects=OBJECTS)
@@ -52,16 +54,30 @@ def test_trying_changes_nothing():
         assert torch.equal(ends[0][key], ends[1][key])
 
 
+class LeavesAtTheEnd(TargetMotion):
+    """The target lies still until it jumps away at step 22."""
+
+    def present(self, rng, T_base_object, area):
+        moves = np.zeros((22, 3))
+        moves[21, 1] = 0.3
+        return Presentation(T_base_object, moves)
+
+
 def test_a_target_that_moves_in_this_step_moves_in_the_copies_too():
-    """A posture that lifts the target where it is lifts nothing once the target has gone."""
-    env = make_env(1, horizon=22, objects=OBJECTS)
+    """Actions that lift a target that stays lift none that goes, in the copies as in the worlds."""
+    env = make_env(3, horizon=22, objects=OBJECTS, target_motion=LeavesAtTheEnd())
     state = drive(env, 21)
-    q, hand = env.worlds.joints[:, :7], env.worlds.T_base_ee
-    posture = env.actions.posture(q, hand, state["action"].double().numpy())
-    gone = env.worlds.T_base_object[0]
-    gone[0, 3] += 0.2
-    stays, moves = (env.worlds.try_last(0, posture, T_base_object=pose) for pose in (None, gone))
-    assert stays[0] > 0.08 > moves[0] and abs(moves[0]) < 0.01
+    tried = env.try_last_actions(state["action"].unsqueeze(1))
+    assert not tried.any() and not env.step(state)["next", "reward"].any()
+
+
+def test_actions_that_are_no_numbers_are_refused():
+    env = make_env(2, objects=OBJECTS)
+    with pytest.raises(TorchgraspError, match="call reset first"):
+        env.try_last_actions(torch.zeros(2, 1, 6))
+    env.reset()
+    with pytest.raises(TorchgraspError, match="NaN or infinity"):
+        env.try_last_actions(torch.full((2, 1, 6), torch.nan))
 
 
 def test_where_an_episode_is_over_nothing_is_lifted():

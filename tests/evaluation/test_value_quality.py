@@ -53,6 +53,12 @@ def test_shorter_episodes_count_where_they_have_steps():
     assert rows["3"]["value_of_successes"] is None
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_values_that_are_no_numbers_are_refused(value):
+    with pytest.raises(ConfigError, match="NaN or infinity"):
+        ValueTable().add([0.1, value], success=True)
+
+
 def test_nothing_was_added():
     assert ValueTable().summary() == {"episodes": 0, "gamma": 0.95, "steps_left": {}, "calibration": []}
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
+from copy import deepcopy
+
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -139,6 +142,8 @@ def test_any_batch_will_do() -> None:
         ({"scale": 1.5}, "scale=1.5"),
         ({"action_bound": None}, "action_bound and action_spec are missing"),
         ({"action_key": "torque"}, r"base writes \['action'\] and no 'torque'"),
+        ({"base_action_key": "action"}, "base_action_key='action' is written by the base policy"),
+        ({"in_keys": "angle"}, "in_keys='angle': give a list"),
     ],
 )
 def test_wrong_arguments_are_refused(options: dict, told: str) -> None:
@@ -146,9 +151,32 @@ def test_wrong_arguments_are_refused(options: dict, told: str) -> None:
         make_actor(**options)
 
 
-@pytest.mark.parametrize("correction", [nn.Tanh(), nn.Sequential(nn.Linear(3, 1), nn.LayerNorm(1))])
+@pytest.mark.parametrize(
+    ("options", "outputs", "told"),
+    [
+        ({"action_bound": [2.0, 2.0]}, 1, "the limits have 2 components and the action 1"),
+        ({}, 6, "correction gives"),
+    ],
+)
+def test_sizes_that_do_not_fit_are_refused(options: dict, outputs: int, told: str) -> None:
+    options = {"in_keys": STATE, "action_bound": BOUND, **options}
+    actor = ResidualActor(make_base(), MLP(3, outputs, num_cells=[16]), **options)
+    with pytest.raises(ConfigError, match=told):
+        actor(make_state())
+
+
+def test_copies_for_other_processes_do_the_same() -> None:
+    actor, state = make_actor(), make_state()
+    push(actor, 0.4)
+    for copied in (deepcopy(actor), pickle.loads(pickle.dumps(actor))):
+        assert torch.equal(copied(state.copy())["action"], actor(state.copy())["action"])
+
+
+@pytest.mark.parametrize(
+    "correction", [nn.Tanh(), nn.Sequential(nn.Linear(3, 1), nn.LayerNorm(1)), MLP(out_features=1, depth=0)]
+)
 def test_a_correction_that_cannot_start_at_zero_is_refused(correction: nn.Module) -> None:
-    with pytest.raises(ConfigError, match="correction ends with"):
+    with pytest.raises(ConfigError, match=r"correction (ends with|has a lazy layer)"):
         ResidualActor(make_base(), correction, in_keys=STATE, action_bound=BOUND)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -42,7 +44,12 @@ def test_it_acts_better_and_within_reach() -> None:
 
 def test_actions_stay_within_their_limits() -> None:
     choice = make_choice(num_nearby=512, reach=1.0, best=(9.0, 9.0), statistic="mean")
-    assert (choice(make_state(2))["action"] <= torch.tensor(BOUND)).all()
+    choice.policy = TensorDictModule(
+        lambda place: (0 * place + torch.tensor([1.9, 0.9]), place), ["place"], ["action", "goal"]
+    )
+    action = choice(make_state(2))["action"]
+    assert torch.allclose(action, torch.tensor(BOUND).expand(2, 2), atol=0.1)
+    assert (action <= torch.tensor(BOUND)).all()
 
 
 def test_it_is_deterministic_and_the_seed_decides() -> None:
@@ -66,9 +73,12 @@ def test_the_least_value_counts_on_demand() -> None:
 
 
 def test_other_actions_of_the_policy_are_tried() -> None:
-    choice = make_choice(num_nearby=0, other_keys=["mine"])
-    choice.policy = TensorDictModule(
+    policy = TensorDictModule(
         lambda place: (0 * place.expand(-1, 2), torch.ones(len(place), 2)), ["place"], ["action", "mine"]
+    )
+    critic = make_choice().critic
+    choice = ValueChoice(
+        policy, critic, num_nearby=0, other_keys=["mine"], action_bound=BOUND, statistic="mean"
     )
     written = choice(make_state(3))
     assert torch.equal(written["action"], torch.ones(3, 2))
@@ -83,14 +93,47 @@ def test_the_value_of_what_is_done_is_written() -> None:
     assert written["goal"].shape == (3, 1)
 
 
-def test_any_batch_and_nested_keys_of_networks_will_do() -> None:
+def test_any_batch_of_networks_will_do_in_another_process_too() -> None:
     actor, critic = GraspActor(PointNet), GraspCritic(PointNet)
     choice = ValueChoice(actor, critic, num_nearby=4, action_bound=[0.06] * 3 + [0.3] * 3)
     assert choice.in_keys == ["points", "time_left"]
     assert choice.out_keys == ["action", "goal_prediction", "state_action_value"]
     state = TensorDict({"points": torch.rand(6, 64, 4), "time_left": torch.ones(6, 1)}, [6])
-    flat, square = choice(state.copy()), choice(state.reshape(2, 3))
+    flat, square = choice(state.copy()), pickle.loads(pickle.dumps(choice))(state.reshape(2, 3))
     assert torch.allclose(flat["action"], square["action"].reshape(6, 6), atol=1e-6)
+
+
+def test_keywords_and_smaller_batches_will_do() -> None:
+    policy = TensorDictModule(lambda x: 0 * x, ["x"], ["action"])
+    critic = TensorDictModule(lambda x, a: a + 0 * x, ["x", "action"], ["state_action_value"])
+    choice, x = ValueChoice(policy, critic, reach=0.5, action_bound=[1.0]), torch.randn(3, 1)
+    expected = choice(TensorDict({"x": x}, [3]))["action"]
+    assert torch.equal(choice(x=x)[0], expected)
+    assert torch.equal(choice(TensorDict({"x": x}))["action"], expected)
+
+
+def test_nested_keys_will_do() -> None:
+    policy = TensorDictModule(lambda x: 0 * x, [("seen", "x")], [("act", "torque")])
+    critic = TensorDictModule(lambda x, a: a + 0 * x, [("seen", "x"), ("act", "torque")], [("told", "value")])
+    keys = {"action_key": ("act", "torque"), "value_key": ("told", "value")}
+    choice = ValueChoice(policy, critic, num_nearby=64, reach=0.5, action_bound=[1.0], **keys)
+    written = choice(TensorDict({"seen": {"x": torch.ones(3, 1)}}, [3]))
+    assert (written["act", "torque"] > 0.4).all() and written["told", "value"].shape == (3, 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"action_key": "torque"}, r"policy writes \['action', 'goal'\] and no \['torque'\]"),
+        ({"other_keys": ["mine"]}, "and no \\['mine'\\]"),
+        ({"other_keys": "goal"}, "other_keys='goal': give a list"),
+        ({"action_key": "goal"}, "critic reads .* and no 'goal'"),
+        ({"value_key": "worth"}, "critic writes .* and no 'worth'"),
+    ],
+)
+def test_keys_that_nobody_writes_or_reads_are_refused(options: dict, told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        make_choice(**options)
 
 
 @pytest.mark.parametrize(

@@ -166,3 +166,9 @@ def test_bands_follow_a_profile_with_a_step():
     assert mass_properties(turned(profile).parts)[0] == pytest.approx(
         np.pi * (4e-4 * 0.03 + 2.5e-5 * (0.05 + 0.005 / 3)), rel=0.01
     )
+
+
+@pytest.mark.parametrize("families", ["box", 5, {"box": 1}])
+def test_families_that_are_no_list_are_refused(families):
+    with pytest.raises(ConfigError, match=r"families=.*: give a list of names"):
+        ProceduralObjects("train", families=families)

@@ -56,6 +56,12 @@ def test_a_critic_says_what_it_thinks_of_the_policy(run_evaluate, untrained, tmp
     assert "The critic's values in 4 episodes, by steps left" in capsys.readouterr().out
 
 
+def test_a_critic_that_alone_reads_the_goal_is_refused(run_evaluate, untrained):
+    file = untrained("model.critic.goal_input=true")
+    with pytest.raises(ConfigError, match="whose critic alone reads the goal"):
+        run_evaluate(f"policy={file}", "episodes=4", "value_quality=0.95")
+
+
 def test_who_has_no_critic_is_told(run_evaluate):
     with pytest.raises(ConfigError, match=r"value_quality=1\.0 with policy=expert, which has no critic"):
         run_evaluate("policy=expert", "value_quality=1.0")

@@ -28,6 +28,11 @@ def watch_values(
             f"value_quality={cfg.value_quality} with policy={name}, which has no critic: give the run "
             "directory or weights file of td3_bc or hindsight."
         )
-    if keys.STATE_ACTION_VALUE in policy.out_keys:
-        return policy, ValueTable(gamma=cfg.value_quality)
-    return WatchingCritic(policy, networks["critic"]), ValueTable(gamma=cfg.value_quality)
+    if keys.STATE_ACTION_VALUE not in policy.out_keys:
+        policy = WatchingCritic(policy, networks["critic"])
+    if keys.GOAL in policy.in_keys:
+        raise ConfigError(
+            f"value_quality={cfg.value_quality} with policy={name}, whose critic alone reads the goal: "
+            "nothing tells it that here. Leave value_quality out."
+        )
+    return policy, ValueTable(gamma=cfg.value_quality)

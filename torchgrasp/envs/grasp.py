@@ -173,11 +173,7 @@ class GraspEnv(EnvBase):
         return self._report(np.zeros(self.num_envs, dtype=bool))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict.get(keys.ACTION).detach().to("cpu", torch.float64).numpy()
-        if not np.isfinite(action).all():
-            raise TorchgraspError(
-                "GraspEnv was given an action with NaN or infinity: look at the policy's output."
-            )
+        action = _read_finite(tensordict.get(keys.ACTION))
         rows = self._rows(tensordict, "_step")
         rows = rows[~self._over[rows]]
         self._move_targets(rows)
@@ -235,8 +231,12 @@ class GraspEnv(EnvBase):
             raise ConfigError(
                 f"actions of shape {tuple(actions.shape)}: give (N, M, A), here ({count}, M, {size})."
             )
+        if None in self._playing:
+            raise TorchgraspError(
+                "GraspEnv has no episode in which actions could be tried: call reset first."
+            )
         bound = np.asarray(self.actions.bound)
-        given = np.clip(actions.detach().to("cpu", torch.float64).numpy(), -bound, bound)
+        given = np.clip(_read_finite(actions), -bound, bound)
         T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
         q, repeats = self.worlds.joints[:, :7], given.shape[1]
         lifted = np.zeros(given.shape[:2], dtype=bool)
@@ -245,7 +245,7 @@ class GraspEnv(EnvBase):
             start, hand = (np.repeat(each[row][None], repeats, axis=0) for each in (q, T_base_ee))
             postures = self.actions.posture(start, hand, given[row])
             lifted[row] = self.worlds.try_last(row, postures, T_base_object=after) >= LIFTED
-        return torch.from_numpy(lifted)
+        return torch.from_numpy(lifted).to(self.device)
 
     def _finish(self, rows: np.ndarray) -> np.ndarray:
         """End the episodes that are due among `rows`; (N, 1) reward of this step."""
@@ -302,6 +302,16 @@ class GraspEnv(EnvBase):
         done: Tensor = torch.from_numpy(over[:, None].copy())
         entries |= {"done": done, "terminated": done.clone(), "truncated": torch.zeros_like(done)}
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
+
+
+def _read_finite(action: Tensor) -> np.ndarray:
+    """Actions (*) as float64."""
+    numbers = action.detach().to("cpu", torch.float64).numpy()
+    if not np.isfinite(numbers).all():
+        raise TorchgraspError(
+            "GraspEnv was given an action with NaN or infinity: look at the policy's output."
+        )
+    return numbers
 
 
 def _choose_seed(seed: int | None) -> int:

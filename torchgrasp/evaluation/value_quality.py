@@ -57,7 +57,10 @@ class ValueTable:
 
     def add(self, values: NDArray, *, success: bool) -> None:
         """Count an episode: the value (T,) of each action that was taken, and how it ended."""
-        self._values.append(np.asarray(values, np.float64))
+        numbers = np.asarray(values, np.float64)
+        if not np.isfinite(numbers).all():
+            raise ConfigError("The values have NaN or infinity among them: look at the critic's weights.")
+        self._values.append(numbers)
         self._success.append(bool(success))
 
     def watch(self, episode: Episode) -> None:

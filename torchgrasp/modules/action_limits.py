@@ -27,7 +27,7 @@ def find_limits(
         bound = bound_tensor(action_bound)
         return -bound, bound
     # By what they offer: networks load without TorchRL.
-    spec = _leaf(action_spec, action_key) if hasattr(action_spec, "items") else action_spec
+    spec = _leaf(action_spec, action_key) if hasattr(action_spec, "batch_size") else action_spec
     space: Any = getattr(spec, "space", None)
     if not hasattr(space, "low") or _is_unbounded(space.high):
         raise ConfigError(

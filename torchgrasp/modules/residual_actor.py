@@ -25,8 +25,9 @@ class ResidualActor(TensorDictModuleBase):
         action = clip(base action + scale h tanh(correction(inputs, base action / h)), limits).
 
     The base policy never changes, so that values of its own episodes stay true, and no update can move an
-    action further than `scale`: reinforcement cannot destroy what the base policy does (Silver et al. 2018,
-    arXiv 1812.06298; Johannink et al. 2019, arXiv 1812.03201). Nothing here is about grasping.
+    action further than `scale` from what the base policy does within the limits. Residual policies are of
+    Silver et al. 2018 (arXiv 1812.06298) and Johannink et al. 2019 (arXiv 1812.03201); the bound is Policy
+    Decorator's (Yuan et al. 2024, arXiv 2412.13630). Nothing here is about grasping.
 
     Losses take it as any actor: gradients reach the correction alone. What the base policy writes
     besides the action, such as a goal prediction, is written as it is.
@@ -34,10 +35,10 @@ class ResidualActor(TensorDictModuleBase):
     Args:
         base: the policy, which writes the action within the limits. A module is copied, as its other owners
             go on training theirs, then frozen and kept in evaluation mode.
-        correction: a network from the values (*, D) of `in_keys` and the base action (*, A), in units of
-            the half range about the limits' middle, to (*, A) numbers; TorchRL's MLP is one. Its last
-            linear layer is set to zero.
-        scale: the largest correction, as a share of the half range: 0.1 to 0.3 in the sources above.
+        correction: called as ``correction(*values, base_action)`` with the values (*, D) of `in_keys` and the
+            base action (*, A) in units of the half range about the limits' middle; gives (*, A) numbers.
+            TorchRL's MLP joins what it is given. Its linear layer that was registered last is set to zero.
+        scale: the largest correction, as a share of the half range: 0.03 to 0.3 in Policy Decorator.
         in_keys: what the correction reads besides the base action: observations, or what the base policy
             writes, such as the feature of an encoder that both share.
         action_bound: largest magnitude of each component of the action.
@@ -80,7 +81,13 @@ class ResidualActor(TensorDictModuleBase):
     ) -> None:
         super().__init__()
         check_range("scale", scale, 0.0, 1.0)
+        if isinstance(in_keys, str):
+            raise ConfigError(f"in_keys={in_keys!r}: give a list of keys.")
         written = [unravel_key(key) for key in base.out_keys]
+        if unravel_key(base_action_key) in written:
+            raise ConfigError(
+                f"base_action_key={base_action_key!r} is written by the base policy: give another key."
+            )
         if unravel_key(action_key) not in written:
             raise ConfigError(
                 f"base writes {written} and no {action_key!r}: give a policy that does, or name its action "
@@ -114,7 +121,17 @@ class ResidualActor(TensorDictModuleBase):
         low, high = self.low.to(based), self.high.to(based)
         half, middle = (high - low) / 2, (high + low) / 2
         inputs = [tensordict.get(key) if key in self.in_keys else written.get(key) for key in self._read]
+        if low.shape != based.shape[-1:]:
+            raise ConfigError(
+                f"the limits have {low.numel()} components and the action {based.shape[-1]}: "
+                "give action_bound or action_spec of the action's size."
+            )
         correction = self.correction(*inputs, (based - middle) / half)
+        if correction.shape != based.shape:
+            raise ConfigError(
+                f"correction gives {tuple(correction.shape)} for actions {tuple(based.shape)}: give a "
+                "network with one output a component."
+            )
         action = (based + self.scale * half * correction.tanh()).clamp(low, high)
         for key in self.out_keys[:-1]:
             tensordict.set(key, written.get(key))
@@ -130,6 +147,8 @@ def _start_at_zero(network: nn.Module) -> None:
             f"correction ends with {last}: give a network whose last layer with weights is linear, such as "
             "TorchRL's MLP, so that the correction can start at zero."
         )
+    if isinstance(layers[-1].weight, nn.UninitializedParameter):
+        raise ConfigError("correction has a lazy layer at its end: give the number of its inputs.")
     nn.init.zeros_(layers[-1].weight)
     if layers[-1].bias is not None:
         nn.init.zeros_(layers[-1].bias)

@@ -27,7 +27,8 @@ class ValueChoice(TensorDictModuleBase):
     trains an actor (Grasp-MPC, arXiv 2509.06201).
 
     The actions nearby are the same at each call, spread evenly (Sobol), so that the policy is
-    deterministic. Of several values side by side the `statistic` counts.
+    deterministic as long as both networks are: put it in evaluation mode. Of several values side by side
+    the `statistic` counts.
 
     Args:
         policy: reads the state, writes the action.
@@ -43,6 +44,9 @@ class ValueChoice(TensorDictModuleBase):
         action_key: of the action.
         value_key: of the critic's values; the value of the action that is taken is written there, (*, 1).
         seed: of the actions nearby.
+
+    Raises:
+        ConfigError: for keys that policy or critic do not read or write, and limits that are missing.
 
     Example:
         >>> from tensordict.nn import TensorDictModule
@@ -83,6 +87,7 @@ class ValueChoice(TensorDictModuleBase):
         self.margin, self.statistic = margin, statistic
         self.action_key, self.value_key = unravel_key(action_key), unravel_key(value_key)
         self._others = [unravel_key(key) for key in other_keys]
+        _check_keys(policy, critic, action_key, value_key, other_keys)
         if statistic not in ("min", "mean"):
             raise ConfigError(f"statistic={statistic!r} is unknown: choose 'min' or 'mean'.")
         low, high = find_limits(action_bound, action_spec, action_key)
@@ -122,7 +127,7 @@ class ValueChoice(TensorDictModuleBase):
 
     def _judge(self, tensordict: TensorDictBase, tried: Tensor) -> Tensor:
         """The value (*, K) of each of the actions (*, K, A)."""
-        batch, count = tensordict.batch_size, tried.shape[-2]
+        *batch, count, _ = tried.shape
         state = tensordict.select(*self._state)
         inputs = TensorDict(
             {key: _repeat(value, len(batch), count) for key, value in state.items(True, True)},
@@ -145,3 +150,20 @@ def _check_reach(reach: Any, size: int) -> Tensor:
     for each in reach if isinstance(reach, Sequence) else [reach]:
         check_range("reach", each, 0.0, 1.0)
     return torch.tensor(reach)
+
+
+def _check_keys(policy: Any, critic: Any, action_key: Any, value_key: Any, other_keys: Any) -> None:
+    """Refuse a policy that does not write the actions, and a critic that does not judge them."""
+    if isinstance(other_keys, str):
+        raise ConfigError(f"other_keys={other_keys!r}: give a list of keys.")
+    written, judged = set(map(unravel_key, policy.out_keys)), set(map(unravel_key, critic.in_keys))
+    if absent := [key for key in (action_key, *other_keys) if unravel_key(key) not in written]:
+        raise ConfigError(f"policy writes {policy.out_keys} and no {absent}: name its actions' own keys.")
+    if unravel_key(action_key) not in judged:
+        raise ConfigError(
+            f"critic reads {critic.in_keys} and no {action_key!r}: give one that judges actions."
+        )
+    if unravel_key(value_key) not in set(map(unravel_key, critic.out_keys)):
+        raise ConfigError(
+            f"critic writes {critic.out_keys} and no {value_key!r}: name its values by value_key."
+        )

@@ -132,6 +132,6 @@ def _check_limits(value_limits: Any) -> tuple[float, float] | None:
         low, high = map(float, value_limits)
     except (TypeError, ValueError):
         low, high = 0.0, 0.0
-    if not low < high:
+    if isinstance(value_limits, str) or not low < high:
         raise ConfigError(f"value_limits={value_limits}: give the least and the largest value, as in (0, 1).")
     return low, high

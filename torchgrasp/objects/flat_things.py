@@ -39,7 +39,7 @@ def make_banana(rng: np.random.Generator) -> Solid:
 
 
 def make_star(rng: np.random.Generator) -> Solid:
-    """Three to six arms, pointed or blunt, about a middle."""
+    """Three to five arms, pointed or blunt, about a middle."""
     arms = int(rng.integers(3, 6))
     angles = (np.arange(arms) + rng.uniform(-0.12, 0.12, arms)) * 2 * math.pi / arms
     radius = rng.uniform(0.012, 0.024)

@@ -143,7 +143,7 @@ def make_goblet(rng: np.random.Generator) -> Solid:
 def _shell(outer: Profile, wall: float, floor: float) -> Solid:
     """A vessel with an outside of several levels, a wall of even thickness and a flat floor.
 
-    Its wall has as few parts as stay within 0.75 mm of it: pads that close on several narrow ones slip.
+    Its wall has as few parts as stay within 0.8 mm of it: pads that close on several narrow ones slip.
     """
     radii, heights = np.asarray(outer, np.float64).T
     slopes = np.gradient(radii, heights)

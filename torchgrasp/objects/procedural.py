@@ -29,8 +29,8 @@ class ProceduralObjects(ObjectSet):
 
     The families take turns, so that a longer set begins with the shorter one's objects. Two families
     (hammer, dumbbell) occur in the test split only. A draw with fewer than 100 grasps, or none on the
-    table in most of its resting poses, is drawn again; of wide and flat boxes (`household`) a tenth
-    of those poses is enough.
+    table in most of its resting poses, is drawn again; for wide and flat boxes (`household`) a tenth
+    of the probability of rest is enough.
 
     Args:
         split: ``train``, ``val`` or ``test``.
@@ -115,6 +115,8 @@ def _families(split: Split, chosen: Sequence[str] | None) -> tuple[str, ...]:
     usual = tuple(FAMILIES) if split == "test" else tuple(TRAINED)
     if chosen is None:
         return usual
+    if isinstance(chosen, str) or not isinstance(chosen, Sequence):
+        raise ConfigError(f"families={chosen!r}: give a list of names, such as [box].")
     allowed = (*usual, *HOUSEHOLD)
     for name in chosen:
         if name in HELD_OUT and split != "test":

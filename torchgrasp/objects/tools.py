@@ -117,7 +117,8 @@ def _primitive(rng: np.random.Generator) -> Solid:
         top = [(thick / 2, long / 2), *rounded_top(thick / 2, long / 2, thick / 2)]
         return turned([*upside_down(top), *top])
     if kind == 3:
-        ball = turned([*upside_down(cap := [(0.02, 0.0), *rounded_top(0.02, 0.0, 0.02)])[:-1], *cap])
+        cap = [(0.02, 0.0), *rounded_top(0.02, 0.0, 0.02)]
+        ball = turned([*upside_down(cap)[:-1], *cap])
         return ball.scaled(rng.uniform(0.9, 1.7, 3).tolist())
     corners = arc(thick * 0.5, 0.0, 2 * math.pi, int(rng.integers(3, 7)))[:-1]
     outline = rounded(corners, 0.003)
