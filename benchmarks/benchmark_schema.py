@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import StringConstraints
-
 from torchgrasp.config.schema import Env, OpenSection
 from torchgrasp.config.value_types import Count, Device, Positive, at_least, between
 
@@ -73,9 +71,7 @@ class Critics(OpenSection):
     gamma: Annotated[float, between(0.0, 1.0)]
     updates: Positive
     learning_rate: Annotated[float, between(1e-9, 1.0)]
-    ways: list[
-        Annotated[str, StringConstraints(pattern=r"^(return|[1-9]\d*-step)(, layer)?(, [1-9]\d* values)?$")]
-    ]
+    ways: list[str]
 
 
 class Workers(OpenSection):

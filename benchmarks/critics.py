@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -17,6 +18,7 @@ from torchrl.envs.utils import step_mdp
 
 from torchgrasp import keys
 from torchgrasp.config import evaluation_config, make_policy, make_pool, make_split_env, prepare_objects
+from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.value_quality import ValueTable, area_under_curve
 from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import ExploringStep, GivenFeature, GraspCritic, split_network
@@ -27,11 +29,12 @@ _FEATURE = (keys.FEATURES, "actor")
 _BATCH = 256
 # A step ahead that no episode of ours has: with it the target is the return.
 _ALL = 1000
+_WAY = re.compile(r"(?:return|([1-9]\d*)-step)(, layer)?(?:, ([1-9]\d*) values)?")
 
 
 def benchmark_critics(cfg: DictConfig) -> list[dict]:
     """A row for each way to learn: values against the ends of held-out episodes, and of last actions."""
-    options = cfg.critics
+    options, ways = cfg.critics, {name: _read_way(name) for name in cfg.critics.ways}
     chosen = [f"policy={options.policy}", f"collector.num_workers={cfg.collector.num_workers}"]
     evaluated = evaluation_config(compose_config("evaluate", [*chosen, *options.overrides]))
     encoder, rest = split_network(make_policy(evaluated, str(options.policy)), _FEATURE)
@@ -40,8 +43,7 @@ def benchmark_critics(cfg: DictConfig) -> list[dict]:
     learned, held = _collect(evaluated, acting, options)
     tried = _try_actions(evaluated, acting, options)
     rows = []
-    for name in options.ways:
-        steps, norm, num_q = _read_way(name)
+    for name, (steps, norm, num_q) in ways.items():
         torch.manual_seed(cfg.seed)
         started = time.perf_counter()
         critic = _learn(rest, learned, options, steps=steps, norm=norm, num_q=num_q)
@@ -54,10 +56,13 @@ def benchmark_critics(cfg: DictConfig) -> list[dict]:
 
 def _read_way(name: str) -> tuple[int, Any, int]:
     """`<n>-step|return[, layer][, <Q> values]` as (n, norm, Q)."""
-    first, *others = [part.strip() for part in name.split(",")]
-    steps = _ALL if first == "return" else int(first.removesuffix("-step"))
-    counts = [int(part.removesuffix(" values")) for part in others if part.endswith(" values")]
-    return steps, "layer" if "layer" in others else "none", counts[0] if counts else 2
+    found = _WAY.fullmatch(name)
+    if found is None:
+        raise ConfigError(
+            f"critics.ways has {name!r}: give <n>-step or return, then, or not, ', layer' and ', <Q> values'."
+        )
+    steps, layer, values = found.groups()
+    return int(steps or _ALL), "layer" if layer else "none", int(values or 2)
 
 
 def _collect(
@@ -91,19 +96,22 @@ def _collect(
 def _follow(steps: TensorDictBase, read: list) -> TensorDictBase:
     """An episode (T) with the next of each observation; of the last step, which ends it, its own."""
     index = torch.arange(1, len(steps) + 1).clamp(max=len(steps) - 1)
-    following = steps.select(*read[:-1])[index]
-    ends = steps["next"].select("reward", "terminated", "done")
+    following: Any = steps.select(*read[:-1])[index]
+    ends = {key: steps["next", key] for key in ("reward", "terminated", "done")}
     return steps.select(*read).set("next", following.update(ends))
 
 
 def _outcomes(episodes: TensorDictBase) -> Tensor:
-    return episodes["next", "reward"].sum(dim=(-1, -2)).clamp(max=1.0)
+    """1 for the episodes (E, T) that succeeded, else 0: (E)."""
+    rewards: Any = episodes["next", "reward"]
+    return rewards.sum(dim=(-1, -2)).clamp(max=1.0)
 
 
 @torch.no_grad()
 def _try_actions(cfg: DictConfig, acting: TensorDictModuleBase, options: DictConfig) -> TensorDictBase:
     """Last states (S) of held-out scenes with `tries` actions (S, M, 6) each, and their outcomes (S, M)."""
-    env, found = make_split_env(cfg, "test"), []
+    env = make_split_env(cfg, "test")
+    found: Any = []
     generator, bound = torch.Generator().manual_seed(0), torch.tensor(ACTION_BOUND)
     acting = copy_for_rollouts(acting)  # pyright: ignore[reportAssignmentType]
     worlds = env.batch_size[0]
@@ -121,7 +129,8 @@ def _try_actions(cfg: DictConfig, acting: TensorDictModuleBase, options: DictCon
         seen = state.select(_FEATURE, keys.TIME_LEFT, keys.TABLE_PLANE, keys.WRIST_ANGLE)
         found.append(seen.set("tried", tried).set("lifted", outcomes))
     env.close()
-    return torch.cat(found)[: options.states]
+    states: Any = torch.cat(found)
+    return states[: options.states]
 
 
 def _learn(
@@ -129,7 +138,7 @@ def _learn(
 ) -> GraspCritic:
     """A critic on the actor's features after `updates` of Eq. (3), `steps` steps ahead, without goals."""
     read = [_FEATURE, keys.TIME_LEFT, keys.ACTION]
-    inputs = {keys.WRIST_ANGLE: 1}
+    inputs: Any = {keys.WRIST_ANGLE: 1}
     size = episodes[_FEATURE].shape[-1]
     critic = GraspCritic(
         GivenFeature(size),

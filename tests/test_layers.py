@@ -77,6 +77,7 @@ SHARED_NAMES = {
     "__init__": "every folder has one",
     "exploration": "modules has the noise, config what is configured of it",
     "grasp_prediction": "evaluation measures it, config says on what",
+    "value_quality": "evaluation measures it, config says of which critic",
     "demonstration_sources": "data has what a source is, config how sources are listed",
 }
 

@@ -1,6 +1,5 @@
 """The suite `critics`, on a few episodes, and its figures by hand."""
 
-import benchmark
 import critics
 import pytest
 import torch
@@ -67,4 +66,4 @@ def test_each_step_is_followed_by_the_next_one():
 @pytest.mark.parametrize("way", ["0-step", "layer", "2 step", "'return, 0 values'"])
 def test_unknown_ways_are_refused(composed, way):
     with pytest.raises(ConfigError, match=r"critics\.ways"):
-        benchmark.check_values(composed(f"critics.ways=[{way}]"), benchmark.Benchmark)
+        critics.benchmark_critics(composed(f"critics.ways=[{way}]"))
