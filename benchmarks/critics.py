@@ -193,6 +193,7 @@ def _rank(critic: GraspCritic, states: TensorDictBase) -> dict[str, float]:
         "auc_of_small_changes": sum(plain) / max(1, len(plain)),
         "lifted_by_policy": lifted[:, 0].float().mean().item(),
         "lifted_by_best": best.float().mean().item(),
+        "lifted_by_any": lifted.any(dim=1).float().mean().item(),
     }
 
 
@@ -208,6 +209,7 @@ def _tell(row: dict) -> str:
     steps = {left: each["auc"] for left, each in row["quality"]["steps_left"].items()}
     areas = ", ".join(f"{left} {'-' if area is None else f'{area:.2f}'}" for left, area in steps.items())
     shares = f"{row['lifted_by_policy']:.1%}, by the critic's choice {row['lifted_by_best']:.1%}"
+    shares += f", by any of those tried {row['lifted_by_any']:.1%}"
     return (
         f"critic {row['way']:24} area by steps left: {areas}; of actions in a state "
         f"{row['auc_of_actions']:.2f}, by small changes {row['auc_of_small_changes']:.2f}; "

@@ -50,7 +50,7 @@ def test_actions_of_a_state_are_ranked_by_hand():
     told = critics._rank(critic, TensorDict({"tried": tried, "lifted": lifted}, [2]))
     assert told["auc_of_actions"] == pytest.approx((3 / 4 + 2 / 3) / 2)
     assert told["auc_of_small_changes"] == pytest.approx((1 / 4 + 1 / 3) / 2)
-    assert (told["lifted_by_policy"], told["lifted_by_best"]) == (0.5, 1.0)
+    assert (told["lifted_by_policy"], told["lifted_by_best"], told["lifted_by_any"]) == (0.5, 1.0, 1.0)
 
 
 def test_each_step_is_followed_by_the_next_one():
