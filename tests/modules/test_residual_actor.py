@@ -68,6 +68,13 @@ def test_limits_of_a_spec_need_not_be_symmetric() -> None:
     assert torch.allclose(actor(make_state(2))["action"], torch.full((2, 1), 2.9))
 
 
+def test_a_component_that_cannot_move_stays() -> None:
+    spec = Bounded(torch.tensor([0.5]), torch.tensor([0.5]), [1])
+    actor = make_actor(action_bound=None, action_spec=spec)
+    push(actor, 50.0)
+    assert torch.equal(actor(make_state(3))["action"], torch.full((3, 1), 0.5))
+
+
 def test_gradients_reach_the_correction_alone() -> None:
     actor = make_actor()
     actor(make_state())["action"].sum().backward()

@@ -126,7 +126,8 @@ class ResidualActor(TensorDictModuleBase):
                 f"the limits have {low.numel()} components and the action {based.shape[-1]}: "
                 "give action_bound or action_spec of the action's size."
             )
-        correction = self.correction(*inputs, (based - middle) / half)
+        unit = torch.where(half > 0, half, 1.0)  # of a component that cannot move
+        correction = self.correction(*inputs, (based - middle) / unit)
         if correction.shape != based.shape:
             raise ConfigError(
                 f"correction gives {tuple(correction.shape)} for actions {tuple(based.shape)}: give a "

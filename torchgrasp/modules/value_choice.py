@@ -93,9 +93,8 @@ class ValueChoice(TensorDictModuleBase):
         low, high = find_limits(action_bound, action_spec, action_key)
         self.register_buffer("low", low, persistent=False)
         self.register_buffer("high", high, persistent=False)
-        unit = (
-            2.0 * SobolEngine(len(low), scramble=True, seed=seed).draw(max(1, num_nearby))[:num_nearby] - 1.0
-        )
+        sobol = SobolEngine(len(low), scramble=True, seed=seed)
+        unit = 2.0 * sobol.draw(max(1, num_nearby))[:num_nearby] - 1.0  # it draws no fewer than one
         offsets = unit * _check_reach(reach, len(low)) * (high - low) / 2
         self.register_buffer("offsets", offsets, persistent=False)
         state = [key for key in map(unravel_key, critic.in_keys) if key != self.action_key]
