@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from torchgrasp.objects.profiles import upside_down
 from torchgrasp.objects.solids import Profile, Solid, box, chord_gain, cylinder, join, lathe, tube, vessel
 
 Family = Callable[[np.random.Generator], Solid]
@@ -31,15 +32,15 @@ def make_capsule(rng: np.random.Generator) -> Solid:
     radius, half = rng.uniform(0.015, 0.034), rng.uniform(0.015, 0.06)
     fine = [(r * radius, z * radius + half) for r, z in _arc(0.0, math.pi / 2, 10)]
     cap = [(r * radius, z * radius + half) for r, z in _arc(0.0, math.pi / 2, 3, gain=True)]
-    bands = [_mirrored(cap), [(radius, -half), (radius, half)], cap]
-    return lathe(_mirrored(fine) + fine, bands)
+    bands = [upside_down(cap), [(radius, -half), (radius, half)], cap]
+    return lathe(upside_down(fine) + fine, bands)
 
 
 def make_ellipsoid(rng: np.random.Generator) -> Solid:
     """An ellipsoid of three unequal half axes."""
     steps = _arc(0.0, math.pi / 2, 4, gain=True)
     bands = [steps[:3], steps[2:]]
-    sphere = lathe(_arc(-math.pi / 2, math.pi / 2, 24), [*bands, *map(_mirrored, bands)])
+    sphere = lathe(_arc(-math.pi / 2, math.pi / 2, 24), [*bands, *map(upside_down, bands)])
     return sphere.scaled((rng.uniform(0.018, 0.033), rng.uniform(0.022, 0.045), rng.uniform(0.035, 0.075)))
 
 
@@ -100,8 +101,8 @@ def make_dumbbell(rng: np.random.Generator) -> Solid:
     bar, radius = rng.uniform(0.009, 0.014), rng.uniform(0.022, 0.034)
     half, thick = rng.uniform(0.03, 0.05), rng.uniform(0.012, 0.03)
     side = [(bar, half), (radius, half), (radius, half + thick)]
-    bands: list[Profile] = [[(bar, -half), (bar, half)], side[1:], _mirrored(side[1:])]
-    return lathe(_mirrored(side) + side, bands)
+    bands: list[Profile] = [[(bar, -half), (bar, half)], side[1:], upside_down(side[1:])]
+    return lathe(upside_down(side) + side, bands)
 
 
 TRAINED: dict[str, Family] = {
@@ -124,8 +125,3 @@ def _arc(low: float, high: float, steps: int, *, gain: bool = False) -> list[tup
     latitudes = np.linspace(low, high, steps + 1)
     radii = np.where(np.isclose(abs(latitudes), math.pi / 2), 0.0, np.cos(latitudes))
     return [(float(r), float(z)) for r, z in zip(radii * scale, np.sin(latitudes) * scale, strict=True)]
-
-
-def _mirrored(profile: Profile) -> list[tuple[float, float]]:
-    """A profile reflected in z = 0, again from the bottom upwards."""
-    return [(r, -z) for r, z in reversed(profile)]
