@@ -5,6 +5,7 @@ The seam behind which another physics backend can stand: nothing outside sim/ se
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -124,20 +125,21 @@ class Worlds:
         if T_base_object is not None:
             world.move_target(T_base_object)
         world.drive(q)
-        before = world.T_base_object[2, 3]
-        world.close_fingers()
-        for _ in world.lift():
-            pass
-        return float(world.T_base_object[2, 3] - before)
+        return _close_and_lift(world)
 
     def close_and_lift(self, rows: Sequence[int]) -> np.ndarray:
         """Close the fingers and lift in the worlds `rows`; (len(rows),) metres that each target rose."""
         worlds = self._placed()
-        before = self._T_base_object[list(rows), 2, 3]
-        for row in rows:
-            worlds[row].close_fingers()
-            self._show(row)
-            for _ in worlds[row].lift():
-                self._show(row)
+        risen = [_close_and_lift(worlds[row], functools.partial(self._show, row)) for row in rows]
         self._read(rows)
-        return self._T_base_object[list(rows), 2, 3] - before
+        return np.array(risen)
+
+
+def _close_and_lift(world: World, show: Callable[[], object] = lambda: None) -> float:
+    """Metres that the target rises; `show` follows the closing of the fingers and each stage of the lift."""
+    before = world.T_base_object[2, 3]
+    world.close_fingers()
+    show()
+    for _ in world.lift():
+        show()
+    return float(world.T_base_object[2, 3] - before)
