@@ -184,6 +184,7 @@ def _rank(critic: GraspCritic, states: TensorDictBase) -> dict[str, float]:
     repeated = states.exclude("tried", "lifted").unsqueeze(1).expand(*lifted.shape).clone()
     values = critic(repeated.set(keys.ACTION, tried))[keys.STATE_ACTION_VALUE].amin(dim=-1)
     areas = list(_areas(values, lifted))
+    liftable: Any = lifted.any(dim=1)  # torch's stubs: a bool
     best = lifted.gather(1, values.argmax(dim=1, keepdim=True))
     smallest = -(tried - tried[:, :1]).div(torch.tensor(ACTION_BOUND)).norm(dim=-1)
     plain = list(_areas(smallest, lifted))
@@ -193,7 +194,7 @@ def _rank(critic: GraspCritic, states: TensorDictBase) -> dict[str, float]:
         "auc_of_small_changes": sum(plain) / max(1, len(plain)),
         "lifted_by_policy": lifted[:, 0].float().mean().item(),
         "lifted_by_best": best.float().mean().item(),
-        "lifted_by_any": lifted.any(dim=1).float().mean().item(),
+        "lifted_by_any": liftable.float().mean().item(),
     }
 
 
