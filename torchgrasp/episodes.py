@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
@@ -101,6 +103,39 @@ def split_episodes(trajectories: TensorDictBase) -> list[TensorDictBase]:
                 episodes.append(row[start : end + 1])
             start = end + 1
     return episodes
+
+
+def split_tries(steps: TensorDictBase) -> TensorDictBase:
+    """Episodes (K, 1) of one step each: what was tried at the end of one with steps (T), and its reward.
+
+    Each is the last step with another action, TRIED_ACTION, whose reward TRIED_REWARD tells. They teach a
+    critic: there is no label of them to imitate, and no goal. None where nothing was tried, or where the
+    episode ended before.
+
+    >>> from tensordict import TensorDict
+    >>> ends = {"reward": torch.ones(1, 1), "done": torch.ones(1, 1, dtype=torch.bool)}
+    >>> tried = {"tried_reward": torch.tensor([[[0.0], [torch.nan], [1.0]]])}
+    >>> steps = TensorDict({"action": torch.zeros(1, 6), "tried_action": torch.rand(1, 3, 6),
+    ...                     "next": {**ends, **tried}}, [1])
+    >>> split_tries(steps)["next", "reward"].flatten().tolist()
+    [0.0, 1.0]
+    """
+    last: Any = steps[-1:]
+    last = last.exclude(keys.TRIED_ACTION, ("next", keys.TRIED_REWARD))
+    actions, rewards = (steps.get(key, None) for key in (keys.TRIED_ACTION, ("next", keys.TRIED_REWARD)))
+    if actions is None or rewards is None:
+        return last[:0].unsqueeze(-1)
+    told = rewards[-1, :, 0].isfinite()
+    actions, rewards = actions[-1, told], rewards[-1, told]
+    tries = last.expand(len(actions)).clone()
+    tries.set(keys.ACTION, actions).set(("next", "reward"), rewards)
+    absent = torch.zeros(len(actions), 1, dtype=torch.bool, device=rewards.device)
+    for key in (keys.HAS_EXPERT, keys.HAS_GOAL, keys.PERTURBED):
+        if last.get(key, None) is not None:
+            tries.set(key, absent.clone())
+        if last.get(("next", key), None) is not None:
+            tries.set(("next", key), absent.clone())
+    return tries.unsqueeze(-1)
 
 
 def get_mask(trajectories: TensorDictBase) -> Tensor:

@@ -22,6 +22,8 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | IMAGE | *, C, S, S | network input of image policies: colours in [0, 1], depth in metres, mask 0 or 1 |
 | ACTION | *, 6 | relative ee pose: translation, intrinsic XYZ Euler angles; *, 7 in joint spaces |
 | BASE_ACTION | *, A | what the base policy of a `ResidualActor` does |
+| TRIED_ACTION | *, M, A | further actions that a policy proposes (`NearbyActions`) |
+| TRIED_REWARD | *, M, 1 | in "next", what each of them would have brought as the last; NaN: not tried |
 | EXPERT_ACTION, HAS_EXPERT | *, 6 and *, 1 bool | label of imitation, and whether there is one |
 | GOAL, HAS_GOAL | *, 7 and *, 1 bool | final grasp in the ee frame at t (xyz, quaternion xyzw) |
 | PLAN_STATUS | *, 1 int64 | whether there is a plan, or why not: `PlanStatus` by number; -1: no planner |
@@ -61,6 +63,8 @@ WRIST_ANGLE = "wrist_angle"
 IMAGE = "image"
 ACTION = "action"
 BASE_ACTION = "base_action"
+TRIED_ACTION = "tried_action"
+TRIED_REWARD = "tried_reward"
 EXPERT_ACTION = "expert_action"
 HAS_EXPERT = "has_expert"
 GOAL = "goal"

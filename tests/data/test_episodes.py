@@ -3,7 +3,7 @@ import torch
 from tensordict import TensorDict
 
 from tests.data.rollouts import make_rollout
-from torchgrasp.data import label_episode_success, split_episodes
+from torchgrasp.data import label_episode_success, split_episodes, split_tries
 from torchgrasp.errors import ConfigError
 
 
@@ -59,3 +59,33 @@ def test_split_gives_whole_episodes_only():
         assert episode["next", "done"].squeeze(-1).nonzero().squeeze(-1).tolist() == [len(episode) - 1]
         state = episode["time_left"].squeeze(-1)
         assert torch.equal(state, state[0] + torch.arange(len(episode)))
+
+
+def _tried(rewards: list[float], steps: int = 3) -> TensorDict:
+    """An episode (T) at whose end as many actions were tried."""
+    done = torch.zeros(steps, 1, dtype=torch.bool)
+    done[-1] = True
+    told = torch.full((steps, len(rewards), 1), torch.nan)
+    told[-1, :, 0] = torch.tensor(rewards)
+    flags = {key: torch.ones(steps, 1, dtype=torch.bool) for key in ("has_expert", "has_goal")}
+    following = {"done": done, "reward": done.float(), "tried_reward": told, "has_goal": flags["has_goal"]}
+    acted = {"action": torch.zeros(steps, 6), "tried_action": torch.rand(steps, len(rewards), 6)}
+    return TensorDict({"state": torch.rand(steps, 2), **flags, **acted, "next": following}, [steps])
+
+
+def test_what_was_tried_at_the_end_becomes_episodes_of_one_step():
+    steps = _tried([1.0, torch.nan, 0.0])
+    tries = split_tries(steps)
+    assert tries.batch_size == (2, 1)
+    assert torch.equal(tries["action"][:, 0], steps["tried_action"][-1, [0, 2]])
+    assert tries["next", "reward"].flatten().tolist() == [1.0, 0.0] and tries["next", "done"].all()
+    assert torch.equal(tries["state"], steps["state"][-1].expand(2, 1, 2))
+    # They teach a critic alone, and the episode itself stays as it was.
+    assert not tries["has_expert"].any() and not tries["has_goal"].any()
+    assert not tries["next", "has_goal"].any() and steps["has_expert"].all()
+    assert label_episode_success(tries)["episode_success"].flatten().tolist() == [True, False]
+
+
+def test_an_episode_without_tries_gives_none():
+    assert split_tries(_tried([torch.nan, torch.nan])).batch_size == (0, 1)
+    assert split_tries(_tried([1.0]).exclude("tried_action")).batch_size == (0, 1)

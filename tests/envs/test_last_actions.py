@@ -92,3 +92,44 @@ def test_actions_of_another_shape_are_refused(shape):
     env.reset()
     with pytest.raises(ConfigError, match=r"give \(N, M, A\), here \(2, M, 6\)"):
         env.try_last_actions(torch.zeros(shape))
+
+
+def test_a_step_tells_what_the_proposed_actions_would_have_brought():
+    """At the last step, as a trial tells; before, and without proposals, nothing is tried."""
+    env = make_env(3, horizon=22, objects=OBJECTS)
+    state = drive(env, 20)
+    proposed = torch.stack((state["action"], AWAY.expand(3, 6)), dim=1)
+    stepped = env.step(state.set("tried_action", proposed))
+    assert stepped["next", "tried_reward"].shape == (3, 2, 1)
+    assert stepped["next", "tried_reward"].isnan().all()
+    expert = ExpertPolicy(env.objects, horizon=env.horizon, action_space=env.actions)
+    last = expert(step_mdp(stepped))
+    last.set("tried_action", torch.stack((last["action"], AWAY.expand(3, 6)), dim=1))
+    expected = env.try_last_actions(last["tried_action"])
+    ended = env.step(last)
+    assert torch.equal(ended["next", "tried_reward"].squeeze(-1), expected.float())
+    assert expected.any() and not expected.all()
+    # What was proposed for an episode that is over is not tried.
+    assert (
+        env.step(step_mdp(ended).update(last.select("action", "tried_action")))["next", "tried_reward"]
+        .isnan()
+        .all()
+    )
+
+
+def test_trying_proposals_leaves_the_episode_as_it_is():
+    rewards = []
+    for tries in (0, 2):
+        env = make_env(3, horizon=22, objects=OBJECTS)
+        state = drive(env, 21)
+        if tries:
+            state.set("tried_action", AWAY.expand(3, tries, 6).clone())
+        rewards.append(env.step(state)["next", "reward"])
+    assert torch.equal(*rewards) and rewards[0].any()
+
+
+def test_proposals_of_another_shape_are_refused():
+    env = make_env(2, horizon=1, objects=OBJECTS)
+    state = env.reset().set("action", torch.zeros(2, 6))
+    with pytest.raises(ConfigError, match=r"give \(N, M, A\), here \(2, M, 6\)"):
+        env.step(state.set("tried_action", torch.zeros(2, 3, 7)))

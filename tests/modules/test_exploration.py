@@ -9,7 +9,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_BOUND
-from torchgrasp.modules import DecayingUniformNoise, ExploringStep
+from torchgrasp.modules import DecayingUniformNoise, ExploringStep, NearbyActions
 
 
 def _noisy(noise, action=None, kind=ExplorationType.RANDOM):
@@ -129,3 +129,46 @@ def test_nothing_is_changed_without_exploration():
 def test_an_exploring_step_that_cannot_be_is_refused(wrong):
     with pytest.raises(ConfigError, match=next(reversed(wrong))):
         ExploringStep(**wrong)
+
+
+def _proposals(nearby: NearbyActions, step: int, episodes: int = 200) -> torch.Tensor:
+    with set_exploration_type(ExplorationType.RANDOM):
+        return nearby(_moments(episodes, step))["tried_action"]
+
+
+def test_actions_near_the_last_one_are_proposed_its_own_first():
+    nearby = NearbyActions(horizon=10, num_tries=5, reach=0.5)
+    assert not _proposals(nearby, 8).any()
+    units = _proposals(nearby, 9) / torch.tensor(ACTION_BOUND)
+    sizes = units.norm(dim=-1)
+    assert units.shape == (200, 5, 6) and not units[:, 0].any()
+    assert sizes[:, 1:].max() <= 0.5 + 1e-6 and sizes[:, 1:].mean() == pytest.approx(0.25, abs=0.03)
+
+
+def test_proposals_follow_from_the_moment_and_the_seed():
+    first, again, other = (_proposals(NearbyActions(horizon=10, seed=seed), 9) for seed in (0, 0, 1))
+    assert torch.equal(first, again) and not torch.equal(first, other)
+    whole, alone = _proposals(NearbyActions(horizon=10), 9), NearbyActions(horizon=10)
+    with set_exploration_type(ExplorationType.RANDOM):
+        assert torch.equal(alone(_moments(200, 9)[7:8])["tried_action"], whole[7:8])
+
+
+def test_proposals_stay_within_the_bounds_and_leave_the_action_alone():
+    state = _moments(50, 9).set("action", 0.9 * torch.tensor(ACTION_BOUND).expand(50, 6))
+    before = state["action"].clone()
+    with set_exploration_type(ExplorationType.RANDOM):
+        tried = NearbyActions(horizon=10, reach=3.0)(state)["tried_action"]
+    assert (tried.abs() <= torch.tensor(ACTION_BOUND)).all() and torch.equal(state["action"], before)
+
+
+def test_nothing_is_proposed_without_exploration():
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert "tried_action" not in NearbyActions(horizon=10)(_moments(2, 9))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"horizon": 0}, {"horizon": 5, "num_tries": 0}, {"horizon": 5, "reach": -1.0}]
+)
+def test_proposals_that_cannot_be_are_refused(wrong):
+    with pytest.raises(ConfigError, match=next(reversed(wrong))):
+        NearbyActions(**wrong)

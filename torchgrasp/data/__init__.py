@@ -25,3 +25,4 @@ from torchgrasp.data.storage import MixtureStorage as MixtureStorage
 from torchgrasp.data.writer import MixtureWriter as MixtureWriter
 from torchgrasp.episodes import label_episode_success as label_episode_success
 from torchgrasp.episodes import split_episodes as split_episodes
+from torchgrasp.episodes import split_tries as split_tries

@@ -13,15 +13,13 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from torchgrasp import keys
-from torchgrasp.envs.motion import TargetMotion, make_target_motion, moved
+from torchgrasp.envs.motion import TargetMotion, make_target_motion
 from torchgrasp.envs.scene import Scene, SceneSampler
 from torchgrasp.envs.specs import SpecMaker
 from torchgrasp.envs.starts import Start, StartPoses
 from torchgrasp.envs.trigger import GRASP_TRIGGERS, GraspTrigger, is_between_fingers
 from torchgrasp.errors import ConfigError, TorchgraspError, check_whole
-from torchgrasp.objects.gripper import hand_blocked
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import Camera, Physics, Placement, RaycastCamera, Worlds
 from torchgrasp.sim.control import ActionSpaceName, make_action_space
 from torchgrasp.sim.world import LIFTED
@@ -38,6 +36,10 @@ class GraspEnv(EnvBase):
 
     World i draws its episodes from (seed, first_world + i, episode number) and shares nothing with
     its neighbours, so that the same actions give the same episode whatever num_envs is.
+
+    A policy may also propose actions: where it writes TRIED_ACTION (N, M, A), the step that ends an episode
+    by its horizon tells their rewards in ("next", TRIED_REWARD), as `try_last_actions` does, before it takes
+    ACTION. At all other steps those are NaN.
 
     Args:
         num_envs: N; the batch size is [N].
@@ -176,6 +178,7 @@ class GraspEnv(EnvBase):
         action = _read_finite(tensordict.get(keys.ACTION))
         rows = self._rows(tensordict, "_step")
         rows = rows[~self._over[rows]]
+        tried = self._try_proposed(tensordict.get(keys.TRIED_ACTION, None), rows)
         self._move_targets(rows)
         bound = np.asarray(self.actions.bound)
         q = self.worlds.joints[rows, :7]
@@ -184,7 +187,17 @@ class GraspEnv(EnvBase):
         self._steps[rows] += 1
         seen = self._observe()
         reward = self._finish(rows)
-        return self._report(self._over, seen, reward)
+        return self._report(self._over, seen | tried, reward)
+
+    def _try_proposed(self, actions: Tensor | None, rows: np.ndarray) -> dict:
+        """Rewards (N, M, 1) of proposed actions (N, M, A), where an episode of `rows` is at its last step."""
+        if actions is None:
+            return {}
+        reward = np.full((*actions.shape[:2], 1), np.nan, dtype=np.float32)
+        last = rows[self._steps[rows] == self.horizon - 1]
+        if last.size:
+            reward[last, :, 0] = self._try_last(self._check_tried(actions), last)[last]
+        return {keys.TRIED_REWARD: torch.from_numpy(reward)}
 
     def _move_targets(self, rows: np.ndarray) -> None:
         """Move the targets that are due, but none into the hand."""
@@ -196,17 +209,9 @@ class GraspEnv(EnvBase):
 
     def _find_move(self, row: int, T_base_object: np.ndarray, T_base_ee: np.ndarray) -> np.ndarray | None:
         """(4, 4) pose that the target of world `row` moves to in this step; None where it stays."""
-        scene, step = self._playing[row], self._steps[row]
+        scene = self._playing[row]
         assert scene is not None
-        if step >= len(scene.moves):
-            return None
-        after = moved(T_base_object, scene.moves[step])
-        if not scene.held:
-            points = surface_points(self.objects[scene.object_id])
-            hand = np.linalg.solve(after, T_base_ee)[None]
-            if hand_blocked(points, hand, approach=0.0, margin=0.01)[0]:
-                return None
-        return after
+        return scene.find_move(int(self._steps[row]), self.objects[scene.object_id], T_base_object, T_base_ee)
 
     def try_last_actions(self, actions: Tensor) -> Tensor:
         """Whether each of the actions (N, M, A) would lift the target if it were the last one: (N, M) bool.
@@ -226,26 +231,34 @@ class GraspEnv(EnvBase):
             >>> env.try_last_actions(torch.zeros(1, 2, 6))
             tensor([[False, False]])
         """
+        if None in self._playing:
+            raise TorchgraspError(
+                "GraspEnv has no episode in which actions could be tried: call reset first."
+            )
+        lifted = self._try_last(self._check_tried(actions), np.flatnonzero(~self._over))
+        return torch.from_numpy(lifted).to(self.device)
+
+    def _check_tried(self, actions: Tensor) -> np.ndarray:
+        """Actions (N, M, A) within their bounds."""
         count, size = self.num_envs, self.actions.size
         if actions.ndim != 3 or (actions.shape[0], actions.shape[2]) != (count, size):
             raise ConfigError(
                 f"actions of shape {tuple(actions.shape)}: give (N, M, A), here ({count}, M, {size})."
             )
-        if None in self._playing:
-            raise TorchgraspError(
-                "GraspEnv has no episode in which actions could be tried: call reset first."
-            )
         bound = np.asarray(self.actions.bound)
-        given = np.clip(_read_finite(actions), -bound, bound)
+        return np.clip(_read_finite(actions), -bound, bound)
+
+    def _try_last(self, actions: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """(N, M) bool: which of the actions (N, M, A) lift, in the worlds `rows`."""
         T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
-        q, repeats = self.worlds.joints[:, :7], given.shape[1]
-        lifted = np.zeros(given.shape[:2], dtype=bool)
-        for row in np.flatnonzero(~self._over).tolist():
+        q, repeats = self.worlds.joints[:, :7], actions.shape[1]
+        lifted = np.zeros(actions.shape[:2], dtype=bool)
+        for row in rows.tolist():
             after = self._find_move(row, T_base_object[row], T_base_ee[row])
             start, hand = (np.repeat(each[row][None], repeats, axis=0) for each in (q, T_base_ee))
-            postures = self.actions.posture(start, hand, given[row])
+            postures = self.actions.posture(start, hand, actions[row])
             lifted[row] = self.worlds.try_last(row, postures, T_base_object=after) >= LIFTED
-        return torch.from_numpy(lifted).to(self.device)
+        return lifted
 
     def _finish(self, rows: np.ndarray) -> np.ndarray:
         """End the episodes that are due among `rows`; (N, 1) reward of this step."""

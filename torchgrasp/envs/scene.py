@@ -8,12 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from torchgrasp.envs.motion import TargetMotion
+from torchgrasp.envs.motion import TargetMotion, moved
 from torchgrasp.envs.starts import Start
 from torchgrasp.errors import ConfigError, ObjectError
-from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS
+from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS, hand_blocked
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.sets import ObjectSet
+from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.reach import clear_grasps, in_reach
@@ -45,6 +46,22 @@ class Scene:
     moves: np.ndarray
     appearance: int
     held: bool = False
+
+    def find_move(
+        self, step: int, target: GraspObject, T_base_object: np.ndarray, T_base_ee: np.ndarray
+    ) -> np.ndarray | None:
+        """(4, 4) pose that the target moves to in a step, counted from 0; None where it stays.
+
+        A target that nobody holds is not moved into the hand.
+        """
+        if step >= len(self.moves):
+            return None
+        after = moved(T_base_object, self.moves[step])
+        if not self.held:
+            hand = np.linalg.solve(after, T_base_ee)[None]
+            if hand_blocked(surface_points(target), hand, approach=0.0, margin=0.01)[0]:
+                return None
+        return after
 
 
 class SceneSampler:

@@ -8,6 +8,7 @@ from torchgrasp.modules.actor import GraspActor as GraspActor
 from torchgrasp.modules.critic import GraspCritic as GraspCritic
 from torchgrasp.modules.exploration import DecayingUniformNoise as DecayingUniformNoise
 from torchgrasp.modules.exploration import ExploringStep as ExploringStep
+from torchgrasp.modules.exploration import NearbyActions as NearbyActions
 from torchgrasp.modules.goal_predictor import GoalPredictor as GoalPredictor
 from torchgrasp.modules.pointnet import PointNet as PointNet
 from torchgrasp.modules.pointnet2 import PointNet2 as PointNet2

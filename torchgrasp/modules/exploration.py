@@ -1,4 +1,4 @@
-"""Exploration: noise of Sec. 6.4, uniform, large at first, then small; and one large change an episode."""
+"""Exploration: noise of Sec. 6.4, one large change an episode, and last actions that are only tried."""
 
 from __future__ import annotations
 
@@ -184,5 +184,90 @@ class ExploringStep(TensorDictModuleBase):
 
     def _draw(self, rng: np.random.Generator, size: int) -> tuple[int, np.ndarray]:
         """The step that is changed, and by how much in units of the bound."""
-        step, direction = int(rng.integers(self.first, self.horizon)), rng.normal(size=size)
-        return step, self.reach * rng.random() * direction / np.linalg.norm(direction)
+        return int(rng.integers(self.first, self.horizon)), _draw_change(rng, size, self.reach)
+
+
+class NearbyActions(TensorDictModuleBase):
+    """Proposes M actions near the action (*, A) of an episode's last step, under ExplorationType.RANDOM only.
+
+    An environment that can try actions without taking them, as GraspEnv does in copies of its worlds, tells
+    what each would have brought. One state then shows a critic which of its actions succeed and which fail,
+    which no number of episodes with one action a state does (vine rollouts: Schulman et al. 2015, arXiv
+    1502.05477, Sec. 5.2). `split_tries` makes transitions of them.
+
+    It follows the actor, before any noise: ``TensorDictSequential(actor, nearby, noise)``. The first
+    proposal is the actor's own action, the others change it in a direction at random, by a size that is
+    uniform up to `reach`. At other steps all proposals are zero. Draws belong to a moment of an episode where
+    the tensordict names one (`MomentGenerators`).
+
+    Args:
+        horizon: T of the environment.
+        num_tries: M.
+        reach: largest change, its length (A,) in units of `action_bound`.
+        action_bound: largest magnitude of each component of the action, to which the sum is clipped.
+        seed: of the draws.
+        action_key: of the actor's action.
+        tried_key: where the proposals (*, M, A) are written.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
+        >>> nearby = NearbyActions(horizon=30, num_tries=4)
+        >>> state = TensorDict({"time_left": torch.tensor([[1 / 30]]), "action": torch.zeros(1, 6)}, [1])
+        >>> with set_exploration_type(ExplorationType.RANDOM):
+        ...     tried = nearby(state)["tried_action"]
+        >>> tried.shape, tried.any(dim=-1).tolist()
+        (torch.Size([1, 4, 6]), [[False, True, True, True]])
+    """
+
+    bound: Tensor
+
+    def __init__(
+        self,
+        *,
+        horizon: int,
+        num_tries: int = 8,
+        reach: float = 1.0,
+        action_bound: Sequence[float] = ACTION_BOUND,
+        seed: int = 0,
+        action_key: NestedKey = keys.ACTION,
+        tried_key: NestedKey = keys.TRIED_ACTION,
+    ) -> None:
+        super().__init__()
+        check_whole("horizon", horizon, 1)
+        check_whole("num_tries", num_tries, 1)
+        check_range("reach", reach, 0.0, float("inf"))
+        self.horizon, self.num_tries, self.reach = horizon, num_tries, reach
+        self.action_key, self.tried_key = action_key, tried_key
+        self.register_buffer("bound", bound_tensor(action_bound))
+        self.in_keys = [action_key, keys.TIME_LEFT]  # pyright: ignore[reportAttributeAccessIssue]
+        self.out_keys = [tried_key]  # pyright: ignore[reportAttributeAccessIssue]
+        self._generators = MomentGenerators(seed, purpose="NearbyActions")
+
+    @dispatch()
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the proposals; none without exploration."""
+        if interaction_type() is not InteractionType.RANDOM:
+            return tensordict
+        action = tensordict.get(self.action_key)
+        tried = action.new_zeros(*action.shape[:-1], self.num_tries, action.shape[-1])
+        left = (tensordict.get(keys.TIME_LEFT).reshape(-1) * self.horizon).round()
+        due = (left <= 1).nonzero().squeeze(-1).tolist()
+        if due:
+            draws = [self._draw(rng, action.shape[-1]) for rng in self._generators(tensordict, due)]
+            change = torch.from_numpy(np.array(draws)).to(action) * self.bound
+            own = action.reshape(-1, 1, action.shape[-1])[due]
+            proposed = (own + change).clamp(-self.bound, self.bound)
+            tried.reshape(-1, *tried.shape[-2:])[due] = proposed
+        return tensordict.set(self.tried_key, tried)
+
+    def _draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        """(M, A) changes in units of the bound, the first none."""
+        changes = [_draw_change(rng, size, self.reach) for _ in range(self.num_tries - 1)]
+        return np.stack([np.zeros(size), *changes])
+
+
+def _draw_change(rng: np.random.Generator, size: int, reach: float) -> np.ndarray:
+    """A change (size,) in a direction at random, in units of the bound."""
+    direction = rng.normal(size=size)
+    return reach * rng.random() * direction / np.linalg.norm(direction)
