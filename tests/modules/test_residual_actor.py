@@ -16,7 +16,16 @@ from torchrl.envs.utils import step_mdp
 from torchrl.modules import MLP
 
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules import GraspActor, PointNet, ResidualActor, split_network
+from torchgrasp.modules import (
+    ACTOR_FEATURE,
+    GivenFeature,
+    GraspActor,
+    GraspCritic,
+    PointNet,
+    ResidualActor,
+    ResidualPolicy,
+    split_network,
+)
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 
 STATE = ("angle", "rate")
@@ -255,3 +264,51 @@ def test_a_residual_improves_a_mediocre_controller_of_a_torchrl_environment() ->
                 descend(adam_actor, loss.actor_loss(batch))
     after = run_episodes(env, actor, noise=0.0)["next", "reward"].sum((-1, -2)).mean()
     assert after > 0.5 * before, (before, after)
+
+
+def see(count: int = 8) -> TensorDict:
+    state = {"points": torch.rand(count, 32, 4), "time_left": torch.rand(count, 1)}
+    return TensorDict({**state, "table_plane": torch.rand(count, 4)}, [count])
+
+
+def test_a_residual_policy_begins_as_the_actor_and_looks_once() -> None:
+    actor, state = GraspActor(PointNet, table_input=True), see()
+    before = actor(state.copy())
+    policy = ResidualPolicy(actor, scale=0.1)
+    written = policy(state.copy())
+    for key in ("action", "goal_prediction"):
+        assert torch.equal(written[key], before[key])
+    assert written[ACTOR_FEATURE].shape == (8, policy.feature_size)
+    assert torch.equal(policy.residual(policy.encoder(state.copy()))["action"], written["action"])
+
+
+def test_of_a_residual_policy_the_correction_alone_learns() -> None:
+    policy = ResidualPolicy(GraspActor(PointNet)).train()
+    learning = [name for name, each in policy.named_parameters() if each.requires_grad]
+    assert learning and all("correction" in name for name in learning)
+    encoder: nn.Module = policy.encoder.module
+    assert not encoder.encoder.training
+
+
+def test_a_critic_learns_on_the_feature_of_the_residual_policy() -> None:
+    policy = ResidualPolicy(GraspActor(PointNet))
+    in_keys = [list(ACTOR_FEATURE), "time_left", "action"]  # as YAML has them
+    critic = GraspCritic(GivenFeature(policy.feature_size), fusion="late", in_keys=in_keys)
+    assert critic(policy(see()))["state_action_value"].shape == (8, 2)
+
+
+def test_an_actor_without_an_encoder_is_no_base_of_a_residual_policy() -> None:
+    with pytest.raises(ConfigError, match="has no encoder"):
+        ResidualPolicy(make_base())
+
+
+@pytest.mark.parametrize("last_steps", [1, 3])
+def test_the_last_steps_alone_are_corrected_on_demand(last_steps: int) -> None:
+    policy = ResidualPolicy(GraspActor(PointNet), last_steps=last_steps, horizon=10)
+    push(policy.residual, 50.0)
+    state = see(10).set("time_left", torch.arange(1, 11)[:, None] / 10)
+    written = policy(state)
+    changed = (written["action"] != written["base_action"]).any(-1)
+    assert changed.tolist() == [left < last_steps for left in range(10)]
+    with pytest.raises(ConfigError, match="last_steps=11"):
+        ResidualPolicy(GraspActor(PointNet), last_steps=11, horizon=10)

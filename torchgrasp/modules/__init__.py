@@ -12,7 +12,9 @@ from torchgrasp.modules.exploration import NearbyActions as NearbyActions
 from torchgrasp.modules.goal_predictor import GoalPredictor as GoalPredictor
 from torchgrasp.modules.pointnet import PointNet as PointNet
 from torchgrasp.modules.pointnet2 import PointNet2 as PointNet2
+from torchgrasp.modules.residual_actor import ACTOR_FEATURE as ACTOR_FEATURE
 from torchgrasp.modules.residual_actor import ResidualActor as ResidualActor
+from torchgrasp.modules.residual_actor import ResidualPolicy as ResidualPolicy
 from torchgrasp.modules.resnet import ResNet18 as ResNet18
 from torchgrasp.modules.split import GivenFeature as GivenFeature
 from torchgrasp.modules.split import split_network as split_network

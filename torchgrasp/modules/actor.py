@@ -93,6 +93,7 @@ class GraspActor(GraspNetwork):
             freeze=freeze_encoder,
             reads_table=table_input,
         )
+        network.limits = tuple(map(float, action_bound))
         super().__init__(
             network,
             in_keys=[*read, *[goal_key] * goal_input, *further, *[table_key] * table_input],
@@ -102,6 +103,7 @@ class GraspActor(GraspNetwork):
 
 class _ActorNetwork(EncoderNetwork):
     bound: Tensor
+    limits: tuple[float, ...]  # the bound as numbers, which a network on the meta device has too
 
     def __init__(
         self,

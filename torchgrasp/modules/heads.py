@@ -140,10 +140,13 @@ def join_heights(cloud: Tensor, plane: Tensor) -> Tensor:
 
 
 def check_keys(name: str, given: Sequence[NestedKey], meaning: Sequence[str]) -> list[NestedKey]:
-    """The keys `given` as a list; ConfigError unless there is one for each of `meaning`."""
+    """The keys `given` as a list; ConfigError unless there is one for each of `meaning`.
+
+    A nested key may be any sequence, as YAML has no tuples.
+    """
     if len(given) != len(meaning):
         raise ConfigError(f"{name}={list(given)} must name {len(meaning)}: {', '.join(meaning)}.")
-    return list(given)
+    return [key if isinstance(key, str) else tuple(key) for key in given]
 
 
 def check_inputs(state_inputs: StateInputs | None) -> dict[NestedKey, int]:

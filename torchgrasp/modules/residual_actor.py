@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, dispatch
+from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential, dispatch
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor, nn
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.errors import ConfigError, check_range, check_whole
 from torchgrasp.modules.action_limits import find_limits
+from torchgrasp.modules.layers import mlp
+from torchgrasp.modules.split import split_network
+
+# Where the encoder that actor and correction share writes its feature.
+ACTOR_FEATURE = (keys.FEATURES, "actor")
 
 
 class ResidualActor(TensorDictModuleBase):
@@ -46,6 +52,8 @@ class ResidualActor(TensorDictModuleBase):
         action_key: of the action.
         base_action_key: where the base policy's action is written.
         copy_base: False to take the base policy itself, frozen from now on.
+        where: called with the values of `in_keys`; gives (*, 1) bool, where there is a correction at all.
+            Everywhere if None.
 
     Raises:
         ConfigError: for a base policy that writes no such action, a correction without a linear layer at its
@@ -78,6 +86,7 @@ class ResidualActor(TensorDictModuleBase):
         action_key: NestedKey = keys.ACTION,
         base_action_key: NestedKey = keys.BASE_ACTION,
         copy_base: bool = True,
+        where: Callable[..., Tensor] | None = None,
     ) -> None:
         super().__init__()
         check_range("scale", scale, 0.0, 1.0)
@@ -97,6 +106,7 @@ class ResidualActor(TensorDictModuleBase):
         self.base.requires_grad_(False).eval()
         self.correction = correction
         _start_at_zero(correction)
+        self.where = where
         self.scale, self.action_key, self.base_action_key = scale, action_key, base_action_key
         self._read = [unravel_key(key) for key in in_keys]
         low, high = find_limits(action_bound, action_spec, action_key)
@@ -133,10 +143,104 @@ class ResidualActor(TensorDictModuleBase):
                 f"correction gives {tuple(correction.shape)} for actions {tuple(based.shape)}: give a "
                 "network with one output a component."
             )
-        action = (based + self.scale * half * correction.tanh()).clamp(low, high)
+        change = self.scale * half * correction.tanh()
+        if self.where is not None:
+            change = torch.where(self.where(*inputs), change, 0.0)
+        action = (based + change).clamp(low, high)
         for key in self.out_keys[:-1]:
             tensordict.set(key, written.get(key))
         return tensordict.set(self.base_action_key, based).set(self.action_key, action)
+
+
+class _Joined(nn.Module):
+    """A network of what it is given, side by side."""
+
+    def __init__(self, network: nn.Sequential) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, *values: Tensor) -> Tensor:
+        return self.network(torch.cat([value.to(values[-1].dtype) for value in values], dim=-1))
+
+
+@dataclass(frozen=True)
+class _AtTheEnd:
+    """Where no more than a share `left` of the episode is left."""
+
+    left: float
+
+    def __call__(self, feature: Tensor, time_left: Tensor, *_: Tensor) -> Tensor:
+        return time_left < self.left
+
+
+class ResidualPolicy(TensorDictSequential):
+    """A trained GraspActor, frozen, and a ResidualActor on the feature of its encoder.
+
+    The encoder looks at a state once; actor and correction read what it writes, and so may a critic
+    (``GraspCritic(GivenFeature(size), fusion="late", in_keys=[ACTOR_FEATURE, ...])``). Features of a
+    frozen encoder can be kept in the replay buffer, so that an update learns on vectors alone.
+
+    Args:
+        actor: is frozen from now on, and taken as it is.
+        scale: the largest correction, as a share of the action's bound.
+        hidden: width of the correction's two hidden layers, which LayerNorm follows.
+        last_steps: how many steps at the end of an episode are corrected; all if None. What the hand does
+            before, a policy in closed loop undoes.
+        horizon: T of the environment, by which steps are counted.
+
+    Attributes:
+        feature_size: of the encoder.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> from torchgrasp.modules import GraspActor, PointNet
+        >>> actor = GraspActor(PointNet)
+        >>> state = TensorDict({"points": torch.rand(2, 64, 4), "time_left": torch.ones(2, 1)}, [2])
+        >>> policy = ResidualPolicy(actor, scale=0.2)
+        >>> torch.equal(policy(state.copy())["action"], actor(state.copy())["action"])
+        True
+    """
+
+    feature_size: int
+
+    @property
+    def encoder(self) -> TensorDictModule:
+        """Writes the feature of a state at ACTOR_FEATURE."""
+        return cast(TensorDictModule, self[0])
+
+    @property
+    def residual(self) -> ResidualActor:
+        """Reads it."""
+        return cast(ResidualActor, self[1])
+
+    def __init__(
+        self,
+        actor: TensorDictModuleBase,
+        *,
+        scale: float = 0.2,
+        hidden: int = 256,
+        last_steps: int | None = None,
+        horizon: int = 30,
+    ) -> None:
+        check_whole("horizon", horizon, 1)
+        if last_steps is not None:
+            check_whole("last_steps", last_steps, 1, horizon)
+        encoder, rest = split_network(actor, ACTOR_FEATURE)
+        network: Any = rest.module
+        encoder.module.freeze()
+        size, num_actions = network.action_head[0].in_features, len(network.limits)
+        residual = ResidualActor(
+            rest,
+            _Joined(mlp([size + num_actions, hidden, hidden, num_actions], norm="layer")),
+            scale=scale,
+            in_keys=rest.in_keys,
+            action_bound=network.limits,
+            copy_base=False,
+            where=None if last_steps is None else _AtTheEnd((last_steps + 0.5) / horizon),
+        )
+        modules: list = [encoder, residual]
+        super().__init__(*modules)
+        self.feature_size = network.encoder.out_features
 
 
 def _start_at_zero(network: nn.Module) -> None:

@@ -52,6 +52,11 @@ class GivenFeature(nn.Module):
 class _Look(EncoderNetwork):
     """The encoder alone; it keeps the parameters that the whole network has."""
 
+    def freeze(self) -> None:
+        """Keep the encoder as it is from now on."""
+        self.encoder_is_frozen = True
+        self.encoder.requires_grad_(False).eval()
+
     def forward(self, observed: Tensor, *plane: Tensor) -> Tensor:
         weight = next((p for p in self.encoder.parameters() if p.is_floating_point()), None)
         return self.look(observed, *plane, dtype=torch.float32 if weight is None else weight.dtype)
