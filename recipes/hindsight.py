@@ -43,8 +43,8 @@ def train(cfg: DictConfig) -> dict:
 def tune(run: Run[ActorCriticLearner]) -> None:
     """Algorithm 1 with D = D_expert of known objects and D_hindsight, by Eq. (5)."""
     cfg, learner, experience = run.cfg, run.learner, run.experience
-    modules: list = [learner.policy, run.noise]
-    run.act(TensorDictSequential(*modules))
+    modules: list = [learner.policy, run.tries, run.noise]
+    run.act(TensorDictSequential(*(each for each in modules if each is not None)))
     relabel = HindsightGoal(imitate=cfg.online.self_imitation)
     experience.draw_all()
     if run.learned_nothing:

@@ -15,14 +15,16 @@ from torchgrasp.config import (
     Run,
     check_exploration,
     conclude,
+    find_successor,
     gather_sources,
-    make_actor_critic,
     make_expert,
+    make_first_learner,
     one_line_errors,
     recipe_main,
     training_config,
 )
 from torchgrasp.data.demonstration_sources import without_expert
+from torchgrasp.modules.goal_keys import reads_goal
 from torchgrasp.runs import seed_everything
 from torchgrasp.training import ActorCriticLearner
 
@@ -30,10 +32,10 @@ from torchgrasp.training import ActorCriticLearner
 def train(cfg: DictConfig) -> dict:
     """Run the whole recipe, or the rest of the run that `resume` names; returns the summary."""
     cfg = training_config(cfg, "td3_bc")
-    if not cfg.offline.updates:
+    if not cfg.offline.updates and cfg.online.dagger:
         check_exploration(cfg, "expert_start", "the learner's episodes")
     seed_everything(cfg.seed)
-    with Run(cfg, make_actor_critic(cfg)) as run:
+    with Run(cfg, make_first_learner(cfg), successor=find_successor(cfg)) as run:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         pretrain(run)
         reinforce(run)
@@ -56,6 +58,7 @@ def reinforce(run: Run[ActorCriticLearner]) -> None:
 
     Offline there are no rollouts: the same updates on demonstrations alone.
     """
+    run.succeed()
     cfg, learner, experience = run.cfg, run.learner, run.experience
     run.act(*make_actors(run))
     experience.draw_all()
@@ -75,12 +78,14 @@ def reinforce(run: Run[ActorCriticLearner]) -> None:
 
 
 def make_actors(run: Run[ActorCriticLearner]) -> list[TensorDictSequential]:
-    """The learner, whose states the expert labels; offline nobody."""
-    if run.cfg.offline.updates:
+    """The learner, whose states the expert labels where they, or goals, are learned from; offline nobody."""
+    cfg, learner = run.cfg, run.learner
+    if cfg.offline.updates:
         return []
-    labels = make_expert(run.cfg, "train", execute=False)  # first: an actor may read its goal
-    modules: list = [labels, run.learner.actor, run.noise, run.expert_start]
-    return [TensorDictSequential(*modules)]
+    modules: list = [learner.actor, run.tries, run.noise, run.expert_start]
+    if cfg.online.dagger or run.expert_start is not None or reads_goal(learner.actor):
+        modules.insert(0, make_expert(cfg, "train", execute=False))  # first: an actor may read its goal
+    return [TensorDictSequential(*(each for each in modules if each is not None))]
 
 
 @recipe_main(config_name="td3_bc")

@@ -23,9 +23,12 @@ def choices(group: str) -> list[str]:
 @pytest.mark.parametrize("model", choices("model"))
 @pytest.mark.parametrize("loss", choices("loss"))
 def test_every_choice_builds(composed, experiment, model, loss):
-    cfg = composed(f"experiment={experiment}", f"model={model}", f"loss={loss}", "model.width=0.25")
-    learner = make_actor_critic(cfg)
-    assert learner.loss.bc_weight == WEIGHTS[loss] and learner.targets.period == cfg.online.period
+    given = [f"model={model}", f"loss={loss}", "model.width=0.25"]
+    cfg = composed(f"experiment={experiment}", *given)
+    corrects = experiment == "residual"
+    learner = make_actor_critic(cfg, make_imitation_learner(cfg) if corrects else None)
+    assert learner.loss.bc_weight == (0.0 if corrects else WEIGHTS[loss])
+    assert learner.targets.period == cfg.online.period
     assert learner.policy_delay == cfg.online.policy_delay and learner.critic_updates == 0
     assert set(learner.networks) == set(learner.optimizers) == {"actor", "critic"}
 

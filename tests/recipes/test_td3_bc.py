@@ -94,7 +94,7 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    run_dir = _wait_for_step(tmp_path, kill_at, process)
+    run_dir = wait_for_step(tmp_path, kill_at, process)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert not (run_dir / "summary.json").exists()
@@ -108,7 +108,7 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at,
     assert len(weights[0]) > 1000 and weights[0][-100_000:] == weights[1][-100_000:]
 
 
-def _wait_for_step(root: Path, step: int, process: WarmProcess | subprocess.Popen) -> Path:
+def wait_for_step(root: Path, step: int, process: WarmProcess | subprocess.Popen) -> Path:
     deadline = time.monotonic() + 240
     while time.monotonic() < deadline and process.poll() is None:
         for run_dir in root.glob("td3_bc/*"):
@@ -129,7 +129,7 @@ def test_a_killed_run_leaves_no_worker_behind(tmp_path):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    _wait_for_step(tmp_path, 0, process)
+    wait_for_step(tmp_path, 0, process)
     process.kill()
     process.wait()
     deadline = time.monotonic() + 20

@@ -21,7 +21,9 @@ from torchgrasp.config.fine_tuning import begun_with as begun_with
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM as PREDICTED_FROM
 from torchgrasp.config.grasp_prediction import make_predictors as make_predictors
 from torchgrasp.config.grasp_prediction import predict_grasps as predict_grasps
+from torchgrasp.config.learners import find_successor as find_successor
 from torchgrasp.config.learners import make_actor_critic as make_actor_critic
+from torchgrasp.config.learners import make_first_learner as make_first_learner
 from torchgrasp.config.learners import make_imitation_learner as make_imitation_learner
 from torchgrasp.config.one_line_errors import one_line_errors as one_line_errors
 from torchgrasp.config.overrides import plain as plain

@@ -26,6 +26,7 @@ LEARNED_FROM = (
     *(keys.POINTS, keys.IMAGE, keys.TABLE_PLANE, keys.T_BASE_EE, keys.TIME_LEFT, keys.ACTION),
     *(keys.EXPERT_ACTION, keys.HAS_EXPERT, keys.GOAL, keys.HAS_GOAL),
     *(keys.PERTURBED, keys.EPISODE, keys.WORLD, keys.TURN),
+    *(keys.TRIED_ACTION, keys.TRIED_REWARD),
 )
 
 

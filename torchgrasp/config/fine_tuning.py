@@ -18,8 +18,9 @@ _PARTS = ("model", "camera", "overhead", "transforms", "num_points")
 _TASK = ("horizon", "action_space")
 _STORAGE = ("codec", "augment")
 _DEMONSTRATIONS = ("kind", "count", "path", "steps")
-# What is the fine-tuning's own nevertheless (Sec. 6.3).
+# What is the fine-tuning's own nevertheless: Sec. 6.3, and a residual with its new critic.
 _FROZEN = ("model.actor.freeze_encoder", "model.critic.freeze_encoder")
+_RESIDUAL = ("model.residual", "model.critic.norm", "model.critic.goal_prediction")
 
 
 def begun_with(cfg: DictConfig) -> DictConfig:
@@ -34,10 +35,11 @@ def begun_with(cfg: DictConfig) -> DictConfig:
     if cfg.init is None:
         raise ConfigError("init is missing: give the run directory or weights file that is to be tuned.")
     path = Path(str(cfg.init))
-    refused = [name for name in given_names() if name not in _FROZEN and name.split(".")[0] in _PARTS]
+    brought = read_trained(path, cfg.trust).config
+    own = (*_FROZEN, *_begun_anew(brought))
+    refused = [name for name in given_names() if name.split(".")[0] in _PARTS and not name.startswith(own)]
     if refused:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
-    brought = read_trained(path, cfg.trust).config
     plain: Any = OmegaConf.to_container(cfg)
     plain |= {name: brought[name] for name in _PARTS if name in brought}
     plain["env"] |= {name: brought["env"][name] for name in _TASK}
@@ -46,9 +48,14 @@ def begun_with(cfg: DictConfig) -> DictConfig:
         plain["demonstrations"] |= _find_demonstrations(path, brought["demonstrations"])
     begun: Any = OmegaConf.create(plain)
     forget_encoder_files(begun.model)
-    for name in _FROZEN:
-        OmegaConf.update(begun, name, OmegaConf.select(cfg, name))
+    for name in own:
+        OmegaConf.update(begun, name, OmegaConf.select(cfg, name), force_add=True)
     return begun
+
+
+def _begun_anew(brought: dict[str, Any]) -> tuple[str, ...]:
+    """What a residual and its critic are made of, unless `init` has them."""
+    return _RESIDUAL if brought["model"].get("residual") is None else ()
 
 
 def _find_demonstrations(init: Path, brought: dict[str, Any]) -> dict[str, Any]:

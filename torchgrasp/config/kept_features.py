@@ -14,7 +14,7 @@ from torchrl.envs.transforms import Compose, Transform
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
-from torchgrasp.modules import split_network
+from torchgrasp.modules import ResidualPolicy, split_network
 from torchgrasp.transforms import KeepFeatures
 
 _TRIALS = 64
@@ -48,7 +48,8 @@ class KeptFeatures:
         sizes = ", ".join(
             f"{name} {each.module.encoder.out_features}" for name, each in self.encoders.items()
         )
-        others = [name for name in self.networks if name not in self.encoders]
+        read = set(self.keys)
+        others = [name for name, each in self.networks.items() if not read & set(each.in_keys)]
         anew = f"; of {', '.join(others)} they are computed in each update" if others else ""
         return f"Features that are computed once a state and kept: {sizes} numbers{anew}"
 
@@ -77,10 +78,22 @@ def keep_features(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase])
         names = [name for name, each in networks.items() if _is_frozen(each) and not _reads_action(each)]
     else:
         names = _check_names(cfg, chosen, networks)
+    if any(isinstance(each, ResidualPolicy) and name not in names for name, each in networks.items()):
+        raise ConfigError(
+            f"replay.keep_features={chosen} with model.residual: the critic reads the actor's features, "
+            "which only the replay buffer has. Give auto, or a list with actor."
+        )
     rest, encoders = dict(networks), {}
     for name in names:
-        encoders[name], rest[name] = split_network(networks[name], (keys.FEATURES, name))
+        encoders[name], rest[name] = _split(name, networks[name])
     return KeptFeatures(rest, encoders)
+
+
+def _split(name: str, network: Any) -> tuple[TensorDictModule, TensorDictModuleBase]:
+    """The encoder of a network, and the network without it."""
+    if isinstance(network, ResidualPolicy):
+        return network.encoder, network.residual
+    return split_network(network, (keys.FEATURES, name))
 
 
 def _check_names(cfg: DictConfig, chosen: Any, networks: Mapping[str, TensorDictModuleBase]) -> list[str]:
@@ -103,6 +116,8 @@ def _check_names(cfg: DictConfig, chosen: Any, networks: Mapping[str, TensorDict
 
 
 def _is_frozen(network: Any) -> bool:
+    if isinstance(network, ResidualPolicy):
+        return True
     return bool(getattr(getattr(network, "module", None), "encoder_is_frozen", False))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
@@ -13,7 +14,7 @@ from torchgrasp import keys
 from torchgrasp.config.acceleration_choice import make_acceleration
 from torchgrasp.config.environments import make_actions
 from torchgrasp.config.kept_features import keep_features
-from torchgrasp.config.networks import begin_networks, make_networks
+from torchgrasp.config.networks import begin_networks, load_base, make_networks, without_residual
 from torchgrasp.config.parts import build
 from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
 from torchgrasp.modules.goal_keys import predicts_goal
@@ -29,16 +30,41 @@ from torchgrasp.runs.checkpoint import checkpoint_exists
 from torchgrasp.training import ActorCriticLearner, ImitationLearner
 
 
+def make_first_learner(cfg: DictConfig) -> ImitationLearner:
+    """Who learns first: where imitation makes the base of a residual, the actor alone, else all networks."""
+    if find_successor(cfg) is None:
+        return make_actor_critic(cfg)
+    return make_imitation_learner(cfg)
+
+
+def find_successor(cfg: DictConfig) -> Callable[[ImitationLearner], ActorCriticLearner] | None:
+    """What makes the learner of the main phase of the first one; None where that goes on."""
+    if cfg.model.get("residual") is None or not cfg.pretrain.steps:
+        return None
+    return functools.partial(make_actor_critic, cfg)
+
+
 def make_imitation_learner(cfg: DictConfig) -> ImitationLearner:
-    """Actor, and goal network where the actor reads goals, at their first weights or those of `init`."""
+    """Actor, and goal network where the actor reads goals, at their first weights or those of `init`.
+
+    It has no residual: imitation trains the actor itself.
+    """
+    cfg = cfg.copy()
+    cfg.model = without_residual(cfg.model)
     networks = _first_networks(cfg, critic=False)
     imitation = _make_imitation(cfg, keep_features(cfg, networks).networks, *_distances(cfg.loss))
     return ImitationLearner(networks, **imitation, **_make_optimizers(cfg, networks))
 
 
-def make_actor_critic(cfg: DictConfig) -> ActorCriticLearner:
-    """Actor, critic, and goal network where the actor reads goals, with the losses of Eq. (3) to (5)."""
-    networks = _first_networks(cfg, critic=True)
+def make_actor_critic(cfg: DictConfig, before: ImitationLearner | None = None) -> ActorCriticLearner:
+    """Actor, critic, and goal network where the actor reads goals, with the losses of Eq. (3) to (5).
+
+    Args:
+        cfg: the recipe's configuration.
+        before: whose actor has learned by imitation and becomes the base of `model.residual`.
+    """
+    base = None if before is None else before.actor
+    networks = _first_networks(cfg, critic=True, base=base)
     learning = keep_features(cfg, networks).networks
     loss = _make_loss(cfg, learning).to(cfg.device)
     loss.make_value_estimator(gamma=cfg.online.gamma)
@@ -59,10 +85,16 @@ def _make_loss(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]) ->
     return build(cfg.loss, networks["actor"], networks["critic"], **limits)
 
 
-def _first_networks(cfg: DictConfig, *, critic: bool) -> dict[str, TensorDictModuleBase]:
+def _first_networks(
+    cfg: DictConfig, *, critic: bool, base: TensorDictModuleBase | None = None
+) -> dict[str, TensorDictModuleBase]:
     """The networks on their device; a run that goes on has weights of its own."""
-    networks = {name: each.to(cfg.device) for name, each in make_networks(cfg.model, critic=critic).items()}
-    if not checkpoint_exists(cfg.resume):
+    fresh = base is None and not checkpoint_exists(cfg.resume)
+    if fresh and cfg.model.get("residual") is not None and cfg.init is not None:
+        base = load_base(cfg)
+    networks = make_networks(cfg.model, critic=critic, base=base)
+    networks = {name: each.to(cfg.device) for name, each in networks.items()}
+    if fresh and base is None:
         begin_networks(cfg, networks)
     return networks
 

@@ -4,28 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 
+from torchgrasp import keys
 from torchgrasp.config.parts import build
 from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import CheckpointError, ConfigError
+from torchgrasp.modules import ACTOR_FEATURE, GivenFeature, ResidualPolicy
 from torchgrasp.modules.goal_keys import reads_goal
 
 _NETWORKS = ("actor", "critic", "goal_network")
 
 
-def make_networks(model: DictConfig, *, critic: bool = True) -> dict[str, TensorDictModuleBase]:
-    """Actor, critic and, where the actor reads the goal, the network that predicts it, by name."""
-    networks = {"actor": build(model.actor)}
+def make_networks(
+    model: DictConfig, *, critic: bool = True, base: TensorDictModuleBase | None = None
+) -> dict[str, TensorDictModuleBase]:
+    """Actor, critic and, where the actor reads the goal, the network that predicts it, by name.
+
+    With `model.residual` the actor is a ResidualPolicy on `base`, or on a new actor without it, and the
+    critic reads the feature of its encoder.
+    """
+    actor = build(model.actor) if base is None else base
+    networks = {"actor": actor}
+    if (residual := model.get("residual")) is not None:
+        actor = networks["actor"] = ResidualPolicy(actor, **residual)
     if critic:
-        networks["critic"] = build(model.critic)
+        networks["critic"] = build(model.critic, **_share_encoder(actor))
     if reads_goal(networks["actor"]):
         networks["goal_network"] = build(model.goal_network)
     return networks
+
+
+def _share_encoder(actor: TensorDictModuleBase) -> dict[str, Any]:
+    """The options of a critic on the feature of a residual's encoder; of any other actor, none."""
+    if not isinstance(actor, ResidualPolicy):
+        return {}
+    encoder, in_keys = GivenFeature(actor.feature_size), [ACTOR_FEATURE, keys.TIME_LEFT, keys.ACTION]
+    return {"encoder": encoder, "fusion": "late", "freeze_encoder": False, "in_keys": in_keys}
+
+
+def without_residual(model: DictConfig) -> DictConfig:
+    """The model of the actor alone, as imitation trains it."""
+    return cast(DictConfig, OmegaConf.merge(model, {"residual": None}))
+
+
+def load_base(cfg: DictConfig) -> TensorDictModuleBase | None:
+    """The actor that `init` names, to be corrected; None where it has a residual of its own."""
+    trained = read_trained(Path(str(cfg.init)), cfg.trust)
+    if trained.config["model"].get("residual") is not None:
+        return None
+    networks = make_networks(without_residual(cfg.model), critic=False)
+    load_networks(networks, trained)
+    return networks["actor"]
 
 
 def rebuild_acting(trained: TrainedWeights, *, critic: bool = False) -> dict[str, TensorDictModuleBase]:
@@ -53,6 +87,11 @@ def begin_networks(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]
     if cfg.init is not None:
         for name in load_networks(networks, read_trained(Path(str(cfg.init)), cfg.trust)):
             del untrained[name]
+    if "actor" in untrained and cfg.model.get("residual") is not None:
+        raise ConfigError(
+            "model.residual corrects a trained actor, and there is none: add init=<run directory or weights "
+            "file>, or imitation before it by pretrain.steps, or leave it out by model.residual=null."
+        )
     check_frozen(cfg.model, untrained)
 
 

@@ -81,7 +81,7 @@ _KINDS: dict[str, PartKind] = {
     # Left out on purpose by some recipes, which say so themselves (config/exploration.py).
     **{
         f"collector.{name}": PartKind(TensorDictModuleBase, optional=True)
-        for name in ("noise", "expert_start", "disturb", "disturb_to_fail")
+        for name in ("noise", "tries", "expert_start", "disturb", "disturb_to_fail")
     },
     "model.encoder": PartKind(nn.Module, partial=True),
     "model.*.encoder": PartKind(nn.Module, partial=True),

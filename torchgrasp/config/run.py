@@ -25,7 +25,7 @@ from torchgrasp.rollouts.episode_pool import copy_for_rollouts
 from torchgrasp.runs import MetricsLogger, Progress, Stopwatch, load_checkpoint
 from torchgrasp.runs.checkpoint import checkpoint_exists
 from torchgrasp.runs.loggers import make_logger
-from torchgrasp.training import cosine_schedule, step_schedule
+from torchgrasp.training import ImitationLearner, cosine_schedule, step_schedule
 from torchgrasp.training.cores import updates_on_cores
 
 # Online episodes are numbered from here on: none repeats a demonstration.
@@ -47,19 +47,30 @@ class Run(RunState[LearnerT]):
         cfg: of `training_config`.
         learner: that the recipe drives.
         own: name of the source that the run's episodes are added to.
+        successor: makes the learner of the main phase of the one of imitation, see `succeed`; None where one
+            learns in both.
 
     Attributes:
         pool: who runs episodes.
         log: metrics.csv, and the logger configured.
-        expert_start: lets the expert begin some of the learner's episodes.
+        expert_start: lets the expert begin some of the learner's episodes; None where it does not.
+        tries: proposes last actions to try besides the learner's own; None where there are none.
     """
 
     pool: EpisodePool
     log: MetricsLogger
 
-    def __init__(self, cfg: DictConfig, learner: LearnerT, *, own: str = "online") -> None:
-        super().__init__(cfg, learner, own=own)
+    def __init__(
+        self,
+        cfg: DictConfig,
+        learner: ImitationLearner,
+        *,
+        own: str = "online",
+        successor: Callable[[ImitationLearner], LearnerT] | None = None,
+    ) -> None:
+        super().__init__(cfg, learner, own=own, successor=successor)
         self.expert_start = build(cfg.collector.expert_start)
+        self.tries = build(cfg.collector.get("tries"))
         self.stopwatch = Stopwatch()
         self._rounds: Generator[list[Episode], None, None] | None = None
         self._worked = 0.0  # seconds of the workers before this iteration
@@ -97,8 +108,11 @@ class Run(RunState[LearnerT]):
 
     def begin(self, sources: Sequence[DemonstrationSource]) -> None:
         """Take up the checkpoint of the directory, or where there is none fill the buffer; open the log."""
-        self.experience.make_buffer(sources)
+        self._sources = list(sources)
         resumed = checkpoint_exists(self.folder)
+        if resumed and self._has_succeeded():
+            self._succeed()
+        self.experience.make_buffer(sources)
         if resumed:
             self._take_up(load_checkpoint(self.folder / "checkpoint", like=self._state()))
         else:
@@ -135,6 +149,14 @@ class Run(RunState[LearnerT]):
                 if self.pretrain_steps % every == 0:
                     self.checkpoint()
                 progress.update()
+
+    def succeed(self) -> None:
+        """From here on the successor learns, of the same demonstrations; nothing changes without one."""
+        if self._successor is None:
+            return
+        self._succeed()
+        self.experience.make_buffer(self._sources)
+        self.experience.load_demonstrations()
 
     def act(self, *actors: Callable) -> None:
         """From now on `episodes` are those of the actors, in turn by iteration; without any, none."""

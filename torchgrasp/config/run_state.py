@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar, cast
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -15,8 +15,10 @@ from torchgrasp.config.main_phase import MainPhase
 from torchgrasp.config.parts import build
 from torchgrasp.config.transition_storage import make_experience
 from torchgrasp.errors import CheckpointError
+from torchgrasp.modules import ResidualPolicy
 from torchgrasp.rollouts import Episode
 from torchgrasp.runs import get_rng_state, save_checkpoint, save_weights, set_rng_state
+from torchgrasp.runs.checkpoint import load_entry
 from torchgrasp.training import ImitationLearner
 
 _RECENT_EPISODES = 200
@@ -35,6 +37,7 @@ class RunState(Generic[LearnerT]):
         cfg: of `training_config`.
         learner: that the recipe drives.
         own: name of the source that the run's episodes are added to.
+        successor: makes the learner of the main phase of the one of imitation; None where one learns in both.
 
     Attributes:
         folder: the run directory.
@@ -51,9 +54,17 @@ class RunState(Generic[LearnerT]):
 
     folder: Path
 
-    def __init__(self, cfg: DictConfig, learner: LearnerT, *, own: str = "online") -> None:
-        self.cfg, self.learner, self._phase = cfg, learner, MainPhase.of(cfg)
-        self.experience = make_experience(cfg, learner.networks, observed_shapes(cfg), own=own)
+    def __init__(
+        self,
+        cfg: DictConfig,
+        learner: ImitationLearner,
+        *,
+        own: str = "online",
+        successor: Callable[[ImitationLearner], LearnerT] | None = None,
+    ) -> None:
+        self.cfg, self._phase, self._own, self._successor = cfg, MainPhase.of(cfg), own, successor
+        self._in_two = successor is not None
+        self._learn_by(cast(LearnerT, learner))
         self.noise = build(cfg.collector.noise).to(cfg.device)
         self.results: dict[str, dict] = {}
         self.pretrain_steps = self.gradient_steps = self.env_steps = self.iteration = 0
@@ -62,6 +73,24 @@ class RunState(Generic[LearnerT]):
         self._recent: deque[bool] = deque(maxlen=_RECENT_EPISODES)
         self._started, self._earlier_seconds = time.monotonic(), 0.0
         self._saved: tuple = ()
+
+    def _learn_by(self, learner: LearnerT) -> None:
+        """Have `learner` learn from now on, of what it reads."""
+        self.learner = learner
+        self.experience = make_experience(
+            self.cfg, learner.networks, observed_shapes(self.cfg), own=self._own
+        )
+
+    def _succeed(self) -> None:
+        """Have the learner of the main phase, made of the one so far, take its place."""
+        assert self._successor is not None
+        self._learn_by(self._successor(self.learner))
+        self._successor = None
+
+    def _has_succeeded(self) -> bool:
+        """Whether the checkpoint is of the successor."""
+        told = load_entry(self.folder / "checkpoint", "progress") if self._in_two else {}
+        return isinstance(told, dict) and told.get("succeeded") is True
 
     def note_successes(self, episodes: Iterable[Episode]) -> None:
         """Count these episodes of the learner in its success rate."""
@@ -95,6 +124,8 @@ class RunState(Generic[LearnerT]):
     def checkpoint(self) -> None:
         """Write everything that a resumed run needs, all or nothing, and the weights as they are now."""
         config: Any = OmegaConf.to_container(self.cfg, resolve=True)
+        if not isinstance(self.learner.actor, ResidualPolicy):
+            config["model"]["residual"] = None
         save_weights(self.folder / "weights.safetensors", self.learner.networks, config)
         # Last: beside a checkpoint lie weights that are as new.
         save_checkpoint(self.folder / "checkpoint", self._state())
@@ -128,6 +159,7 @@ class RunState(Generic[LearnerT]):
                 "results": self.results,
                 "recent": list(self._recent),
                 "wall_seconds": self.wall_seconds,
+                **({"succeeded": self._successor is None} if self._in_two else {}),
             },
         }
 

@@ -147,10 +147,20 @@ class Network(OpenSection):
     freeze_encoder: Switch = False
 
 
+class Residual(Section):
+    """Of a ResidualPolicy."""
+
+    scale: Annotated[float, between(0.0, 1.0)] = 0.2
+    hidden: Annotated[int, at_least(1, 100_000)] = 256
+    last_steps: Positive | None = None
+    horizon: Horizon = 30
+
+
 class Model(OpenSection):
     """conf/model."""
 
     table_input: Switch = False
+    residual: Residual | None = None
     actor: Network
     critic: Network
     goal_network: Network | None = None
@@ -256,6 +266,7 @@ class BroughtEnv(OpenSection):
 class BroughtModel(OpenSection):
     """Trained networks; imitation has no critic."""
 
+    residual: Residual | None = None
     actor: Parts
     critic: Parts | None = None
     goal_network: Parts | None = None

@@ -31,8 +31,25 @@ def check_training(cfg: DictConfig) -> None:
         place = f"demonstrations.more.{name}" if further else "demonstrations"
         _check_demonstrations(each.demonstrations, place)
         check_demonstrators(each)
+    _check_residual(cfg)
     if cfg.init is not None and not checkpoint_exists(cfg.resume):
         check_weights("init", str(cfg.init))
+
+
+def _check_residual(cfg: DictConfig) -> None:
+    """Refuse what does not go together with a residual."""
+    if cfg.model.get("residual") is None:
+        return
+    if cfg.pretrain.critic:
+        raise ConfigError(
+            "pretrain.critic=true with model.residual: the critic reads the features of the trained actor, "
+            "and begins after imitation. Give pretrain.critic=false."
+        )
+    if cfg.model.actor.get("goal_input"):
+        raise ConfigError(
+            "model.actor.goal_input=true with model.residual: an actor that is told the goal follows it. "
+            "Give model.actor.goal_input=false, or model.residual=null."
+        )
 
 
 def _check_demonstrations(demonstrations: DictConfig, place: str) -> None:

@@ -43,10 +43,10 @@ def make_experience(
     """
     replay, kept = cfg.replay, keep_features(cfg, networks)
     augment, priority = build(replay.augment), build(replay.priority)
-    given = codec = make_codec(cfg, networks.values())
+    given = codec = make_codec(cfg, networks.values(), made=kept.keys)
     if (features := kept.make_transform(augment)) is not None:
         options = {"feature_dtype": replay.get("feature_dtype", "float16"), "drop_keys": kept.drop_keys}
-        codec = make_codec(cfg, networks.values(), features=features, **options)
+        codec = make_codec(cfg, networks.values(), made=kept.keys, features=features, **options)
         print(kept)
     row = make_row(codec, augment, shapes)
     check_state_inputs(cfg.model, shapes)
@@ -74,14 +74,17 @@ def make_experience(
 
 
 def make_codec(
-    cfg: DictConfig, networks: Iterable[TensorDictModuleBase], **options: Any
+    cfg: DictConfig, networks: Iterable[TensorDictModuleBase], *, made: Iterable = (), **options: Any
 ) -> CompactTransitions:
-    """How transitions are stored: `replay.codec`, the goal as a state where a network reads it."""
+    """How transitions are stored: `replay.codec`, the goal as a state where a network reads it.
+
+    What the networks read must be given, but for what is `made` of it.
+    """
     read = {key for each in networks for key in each.in_keys}
     states = list(cfg.replay.codec.state_keys)
     states += [keys.GOAL] * (keys.GOAL in read and keys.GOAL not in states)
     codec = build(cfg.replay.codec, state_keys=states, **options)
-    if absent := read - {keys.ACTION} - set(codec.given_keys):
+    if absent := read - {keys.ACTION, *made} - set(codec.given_keys):
         raise ConfigError(
             f"The networks of `model` read {sorted(map(str, absent))}, which the replay buffer lacks: "
             "choose what goes together, such as model=pointnet2 with replay=mixture, or model=resnet18 with "

@@ -51,7 +51,8 @@ def without_expert(steps: TensorDictBase) -> TensorDictBase:
 
 
 def _clear(steps: TensorDictBase, *flags: str) -> TensorDictBase:
-    return steps.update({flag: torch.zeros_like(steps.get(flag)) for flag in flags})
+    there = {flag: steps.get(flag, None) for flag in flags}
+    return steps.update({flag: torch.zeros_like(each) for flag, each in there.items() if each is not None})
 
 
 def check_rows(demonstrations: Demonstrations, row: TensorDictBase) -> None:

@@ -83,6 +83,18 @@ def load_checkpoint(path: str | Path, *, like: Mapping[str, Any] | None = None) 
     return state
 
 
+def load_entry(path: str | Path, name: str) -> Any:
+    """One entry of the checkpoint at the folder `path`, which nobody replaces meanwhile."""
+    folder = find_folder(path)
+    manifest = _read_manifest(folder)
+    for file in (f"{name}.json", f"{name}.safetensors"):
+        if file in manifest.files:
+            check_file(folder / file, manifest.files[file], _REMEDY)
+    if name not in manifest.entries:
+        raise CheckpointError(f"{path} has no {name}: {_REMEDY}.")
+    return read_state(folder, name, _REMEDY)
+
+
 def _load_latest(path: str | Path) -> dict[str, Any]:
     error = CheckpointError(f"{path} is replaced faster than it can be read: pause the run that writes it.")
     for _ in range(_MAX_READS):

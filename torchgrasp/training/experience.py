@@ -22,6 +22,7 @@ from torchgrasp.data.demonstration_sources import DemonstrationSource, check_row
 from torchgrasp.data.demonstrations import Demonstrations
 from torchgrasp.data.drawn_ahead import DrawnAhead
 from torchgrasp.data.shares import share_batch
+from torchgrasp.episodes import split_tries
 from torchgrasp.errors import ConfigError
 
 # What a summary tells of the card of demonstrations.
@@ -120,9 +121,10 @@ class Experience:
                 self.buffer.extend_rows(source.choose(rows), source=source.name)
 
     def add(self, steps: TensorDictBase) -> None:
-        """Add an episode's steps (T) to the run's own."""
+        """Add an episode's steps (T) to the run's own, and the actions that were tried at its end."""
         self._pause()
         self.buffer.extend(steps[None], source=self.own)
+        self.buffer.extend(split_tries(steps), source=self.own)
 
     def draw_demonstrations(self) -> None:
         """From the next batch on, draw from demonstrations with labels alone."""

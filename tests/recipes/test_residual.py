@@ -1,0 +1,126 @@
+"""A residual in td3_bc.py and hindsight.py: imitation, then a bounded correction, learned of tries."""
+
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchgrasp
+from recipes import evaluate, hindsight, td3_bc
+from tests import warm_python
+from tests.configurations import compose_config
+from tests.recipes.runner import command, environment, find_run, read_metrics, read_results, stored_rows
+from tests.recipes.test_td3_bc import wait_for_step
+from tests.warm_python import WarmProcess
+from torchgrasp.errors import ConfigError
+from torchgrasp.runs import load_weights
+
+GIVEN = ["experiment=[smoke,residual]", "online.critic_warmup=1", "evaluation.baselines=[]"]
+GIVEN += ["collector.tries.num_tries=3", "env.horizon=8", "total_env_steps=48"]
+
+
+@pytest.fixture(scope="module")
+def corrected(tmp_path_factory) -> Path:
+    """The run directory of imitation and a residual."""
+    root = tmp_path_factory.mktemp("corrected")
+    td3_bc.train(compose_config(f"output_dir={root}", *GIVEN))
+    return find_run(root, "td3_bc")
+
+
+def test_imitation_is_corrected_and_stays_the_base(corrected):
+    states, config = load_weights(corrected / "weights.safetensors")
+    assert config["model"]["residual"] == {"scale": 0.4, "hidden": 256, "last_steps": 1, "horizon": 8}
+    corrections = [value for key, value in states["actor"].items() if "correction" in key]
+    assert corrections and not all(value.eq(0).all() for value in corrections[-2:])
+    summary = json.loads((corrected / "summary.json").read_text())
+    assert set(summary["comparison"]) == {"policy", "policy after imitation alone"}
+    assert "added by reinforcement" in summary["gains"]
+
+
+def test_what_was_tried_is_in_the_buffer_and_the_features_are_kept(corrected):
+    rows = stored_rows(corrected, "online")
+    assert rows["features.actor"].shape[1:] == (64,) and "points" not in rows
+    # Of each episode three tries of its last step, which end with it.
+    last = rows["time_left"].flatten() < 0.126
+    assert last.sum() == 4 * (~last).sum() / 7
+    assert rows["terminated"].flatten()[last].all() and not rows["has_expert"].any()
+
+
+def test_a_trained_residual_acts_alone(corrected, tmp_path):
+    policy = torchgrasp.load_policy(corrected)
+    env = torchgrasp.make_env(policy, num_envs=1)
+    assert env.rollout(2, policy)["base_action"].shape == (1, 2, 6)
+    given = [f"policy={corrected}", "value_quality=0.99", "objects.num_objects=4", "episodes=4"]
+    given += ["evaluation.num_envs=2", "collector.num_workers=0", f"output_dir={tmp_path}"]
+    summary = evaluate.evaluate(compose_config(*given, recipe="evaluate"))
+    assert summary["episodes"] == 4 and summary["value_quality"]
+
+
+@pytest.mark.parametrize("kill_at", [0, 7])
+def test_killed_before_or_after_the_change_of_learners_it_ends_alike(corrected, tmp_path, kill_at):
+    process = WarmProcess(
+        command("td3_bc", tmp_path, *GIVEN),
+        env=environment(),
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    run_dir = wait_for_step(tmp_path, kill_at, process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (run_dir / "summary.json").exists()
+    done = warm_python.run(command("td3_bc", tmp_path, f"resume={run_dir}"), timeout=300, env=environment())
+    assert done.returncode == 0, done.stderr
+    assert read_results(run_dir) == read_results(corrected)
+    ours, theirs = (load_weights(each / "weights.safetensors")[0] for each in (run_dir, corrected))
+    for name in ("actor", "critic"):
+        assert all(torch.equal(value, theirs[name][key]) for key, value in ours[name].items())
+
+
+def test_a_trained_policy_is_corrected_from_the_first_step(composed, tmp_path, trained):
+    given = [f"init={trained[0]}", "pretrain.steps=0", *GIVEN]
+    td3_bc.train(composed(*given))
+    before, after = (
+        load_weights(each / "weights.safetensors")[0]["actor"]
+        for each in (trained[0], find_run(tmp_path, "td3_bc"))
+    )
+    encoder = {key: value for key, value in before.items() if ".encoder." in key}
+    kept = [value for key, value in after.items() if ".encoder." in key]
+    assert encoder and all(map(torch.equal, encoder.values(), kept))
+
+
+@pytest.mark.parametrize("begun_with_residual", [False, True])
+def test_fine_tuning_corrects_what_it_begins_with(
+    composed, tmp_path, trained, corrected, begun_with_residual
+):
+    """A policy without a residual gets one; one that has one goes on with it, and with its critic."""
+    init = corrected if begun_with_residual else trained[0]
+    given = ["experiment=[smoke,residual,hindsight/normal]", "objects=procedural", "total_env_steps=32"]
+    given += [f"init={init}", "collector.tries.num_tries=3", "model.residual.scale=0.1"]
+    given = given[:-1] if begun_with_residual else given
+    summary = hindsight.train(composed(*given, recipe="hindsight"))
+    assert summary["env_steps"] >= 32
+    _, config = load_weights(find_run(tmp_path, "hindsight") / "weights.safetensors")
+    assert config["model"]["residual"]["scale"] == (0.4 if begun_with_residual else 0.1)
+    assert read_metrics(find_run(tmp_path, "hindsight"))[-2]["critic/loss_qvalue"]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["pretrain.steps=0"], "model.residual corrects a trained actor, and there is none"),
+        (["pretrain.critic=true"], "pretrain.critic=true with model.residual"),
+        (["model.actor.goal_input=true"], "model.actor.goal_input=true with model.residual"),
+        (["replay.keep_features=null", "pretrain.steps=1"], "replay.keep_features=None with model.residual"),
+        (["model.residual.scale=2"], "model.residual.scale=2"),
+        (["+model.residual.size=3"], "model.residual.size"),
+        (["collector.tries.num_tries=0"], "collector.tries.num_tries=0"),
+    ],
+)
+def test_what_does_not_go_with_a_residual_is_refused(composed, given, message):
+    with pytest.raises(ConfigError, match=message):
+        td3_bc.train(composed(*GIVEN, *given))
