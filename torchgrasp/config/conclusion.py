@@ -30,7 +30,8 @@ def conclude(run: Run, *, phase: str) -> dict:
         tables[name] = run.evaluate(make_policy(cfg, name), name)
     run.log.log(run.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
     scenes = describe_scenes(cfg)
-    gains = {f"added by {phase}": find_gain(tables["policy"], before) for before in run.results.values()}
+    earlier = [each for each in run.results.values() if "outcomes" in each]  # not of versions before 0.2
+    gains = {f"added by {phase}": find_gain(tables["policy"], before) for before in earlier}
     summary = {**tables["policy"], "scenes": scenes, "comparison": tables, "gains": gains}
     summary |= run.describe()
     pictures = {"Failed episodes": failed.pictures}

@@ -78,6 +78,32 @@ def newcombe_interval(
     return rate - base - below, rate - base + above
 
 
+def paired_interval(gained: int, lost: int, n: int, confidence: float = 0.95) -> Interval:
+    """Interval of the difference of two success rates over the same n scenes (Agresti and Min 2005).
+
+    It is Wald's with half a scene more of each kind. Scenes in which both succeed or both fail tell nothing
+    of the difference, so that it is narrower than one of independent episodes.
+
+    Args:
+        gained: scenes in which the first alone succeeds.
+        lost: scenes in which the second alone does.
+        n: all scenes; (-1, 1) without any.
+        confidence: of the interval.
+
+    >>> [round(bound, 4) for bound in paired_interval(17, 5, 280)]
+    [0.0096, 0.0755]
+    """
+    from scipy.stats import norm
+
+    if n == 0:
+        return -1.0, 1.0
+    first, second, total = gained + 0.5, lost + 0.5, n + 2.0
+    middle = (first - second) / total
+    spread = math.sqrt(first + second - (first - second) ** 2 / total) / total
+    reach = float(norm.ppf(0.5 + confidence / 2)) * spread
+    return max(-1.0, middle - reach), min(1.0, middle + reach)
+
+
 @contextmanager
 def _equal_values_allowed() -> Iterator[None]:
     """Without scipy's warning that the p-value, which nobody asks for, is unreliable for equal values."""

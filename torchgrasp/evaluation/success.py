@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
-from torchgrasp.evaluation.intervals import newcombe_interval, wilson_interval
+from torchgrasp.evaluation.intervals import paired_interval, wilson_interval
 
 
 class SuccessTable:
@@ -23,6 +23,7 @@ class SuccessTable:
     def __init__(self) -> None:
         self._counts: dict[str, list[int]] = {}
         self._causes: dict[str, Counter[str]] = {}
+        self._outcomes: list[bool] = []
 
     def add(self, object_name: str, success: bool, *, cause: str | None = None) -> None:
         """Count one finished episode, and why it failed where that is known."""
@@ -31,6 +32,7 @@ class SuccessTable:
         counts = self._counts.setdefault(object_name, [0, 0])
         counts[0] += 1
         counts[1] += int(success)
+        self._outcomes.append(bool(success))
 
     @property
     def episodes(self) -> int:
@@ -78,7 +80,10 @@ class SuccessTable:
         return {name: counts.most_common(1)[0][0] for name, counts in causes.items()}
 
     def summary(self) -> dict:
-        """What summary.json says of success: rate, 95 % interval, episodes, objects, failures."""
+        """What summary.json says of success: rate, 95 % interval, episodes, objects, failures.
+
+        `outcomes` has a 1 for each success and a 0 for each failure, in the order of the scenes.
+        """
         return {
             "success_rate": self.success_rate,
             "success_ci95": list(self.confidence_interval()),
@@ -86,17 +91,16 @@ class SuccessTable:
             "objects": self.rows(),
             "failures": self.failures(),
             "never_lifted": self.never_lifted(),
+            "outcomes": "".join("1" if each else "0" for each in self._outcomes),
         }
 
 
 def find_gain(table: Mapping[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
     """By how much the success rate of one summary of a table is above that of another: `gain`, and `ci95`.
 
-    The interval is Newcombe's, which takes the episodes of both as independent; on the same scenes it is
-    wider than it need be.
+    Both are of the same scenes, in the same order, and so is the interval: the paired one.
     """
-    counts = []
-    for each in (table, before):
-        counts += [sum(row["successes"] for row in each["objects"].values()), each["episodes"]]
-    interval = newcombe_interval(*counts)
+    outcomes = [*zip(table["outcomes"], before["outcomes"], strict=True)]
+    gained, lost = outcomes.count(("1", "0")), outcomes.count(("0", "1"))
+    interval = paired_interval(gained, lost, len(outcomes))
     return {"gain": table["success_rate"] - before["success_rate"], "ci95": list(interval)}

@@ -32,12 +32,15 @@ class Success(OpenDocument):
         success_ci95: the ends of its 95 % interval.
         episodes: that it was measured on.
         objects: by name.
+        outcomes: a 1 for each success and a 0 for each failure, in the order of the scenes; empty in files of
+            earlier versions.
     """
 
     success_rate: Rate
     success_ci95: _Interval
     episodes: Count
     objects: dict[Name, ObjectRow]
+    outcomes: Annotated[str, Field(pattern=r"^[01]*$")] = ""
 
 
 class Summary(Success):
