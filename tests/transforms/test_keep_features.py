@@ -53,6 +53,15 @@ def test_a_buffer_keeps_the_features_of_each_state_and_encodes_it_once():
         torch.testing.assert_close(state["features", "it"], encoder.module(state["x"]))
 
 
+def test_equal_states_in_a_row_are_encoded_once():
+    """As of actions that were tried in one state, and lead to one next state."""
+    encoder, states = make_encoder(), torch.rand(2, 3).repeat_interleave(4, 0)
+    written = KeepFeatures(encoder)(TensorDict({"x": states, "next": {"x": states.flip(0)}}, [8]))
+    assert encoder.module.count == 2 + 2
+    torch.testing.assert_close(written["features", "it"], encoder.module(states))
+    torch.testing.assert_close(written["next", "features", "it"], encoder.module(states.flip(0)))
+
+
 def test_batches_without_features_get_them_and_others_keep_theirs():
     encoder, steps = make_encoder(), make_steps()
     transform = KeepFeatures(encoder)

@@ -100,7 +100,7 @@ class KeepFeatures(Transform):
         return observation_spec
 
     def encode(self, states: TensorDictBase) -> dict[NestedKey, Tensor]:
-        """The features (*, ...) or (*, V, ...) of states (*), by key; each state is encoded."""
+        """The features (*, ...) or (*, V, ...) of states (*), by key; of equal states in a row once."""
         missing = [key for key in self.in_keys if states.get(key, None) is None]
         if missing:
             raise ConfigError(
@@ -110,13 +110,23 @@ class KeepFeatures(Transform):
         self._check_encoder()
         shape, rows = states.shape, states.select(*self.in_keys)
         rows = rows.reshape(-1) if shape else rows.unsqueeze(0)
-        parts = [self._encode_rows(part) for part in rows.split(self._chunk_size)]
+        first = self._find_changes(rows)
+        parts = [self._encode_rows(part) for part in rows[first].split(self._chunk_size)]
         if not parts:
             parts = [self._encode_rows(rows)]
+        index = first.cumsum(0) - 1
         return {
-            key: torch.cat([part[key] for part in parts]).reshape(*shape, *parts[0][key].shape[1:])
+            key: torch.cat([part[key] for part in parts])[index].reshape(*shape, *parts[0][key].shape[1:])
             for key in self.out_keys
         }
+
+    def _find_changes(self, rows: TensorDictBase) -> Tensor:
+        """(B) bool: which rows (B) differ from the one before, as of actions tried in one state none does."""
+        changed = torch.ones(len(rows), dtype=torch.bool, device=rows[self.in_keys[0]].device)
+        if len(rows) > 1:
+            same = [_equal_rows(rows[key][1:], rows[key][:-1]) for key in self.in_keys]
+            changed[1:] = ~torch.stack(same).all(dim=0)
+        return changed
 
     @torch.no_grad()
     def _encode_rows(self, rows: TensorDictBase) -> dict[NestedKey, Tensor]:
