@@ -129,6 +129,8 @@ def split_tries(steps: TensorDictBase) -> TensorDictBase:
     actions, rewards = actions[-1, told], rewards[-1, told]
     tries = last.expand(len(actions)).clone()
     tries.set(keys.ACTION, actions).set(("next", "reward"), rewards)
+    if (after := tries.get(("next", keys.T_BASE_EE), None)) is not None:
+        after.fill_(torch.nan)  # nobody has seen where the hand would have been
     absent = torch.zeros(len(actions), 1, dtype=torch.bool, device=rewards.device)
     for key in (keys.HAS_EXPERT, keys.HAS_GOAL, keys.PERTURBED):
         if last.get(key, None) is not None:

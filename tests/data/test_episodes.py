@@ -5,6 +5,7 @@ from tensordict import TensorDict
 from tests.data.rollouts import make_rollout
 from torchgrasp.data import label_episode_success, split_episodes, split_tries
 from torchgrasp.errors import ConfigError
+from torchgrasp.transforms import HindsightGoal
 
 
 def make_outcomes(reward, done):
@@ -84,6 +85,14 @@ def test_what_was_tried_at_the_end_becomes_episodes_of_one_step():
     assert not tries["has_expert"].any() and not tries["has_goal"].any()
     assert not tries["next", "has_goal"].any() and steps["has_expert"].all()
     assert label_episode_success(tries)["episode_success"].flatten().tolist() == [True, False]
+
+
+def test_where_a_tried_action_led_is_no_goal_in_hindsight():
+    steps, poses = _tried([1.0]), torch.eye(4).repeat(3, 1, 1)
+    tries = split_tries(steps.set("T_base_ee", poses).set(("next", "T_base_ee"), poses.clone()))
+    relabelled = HindsightGoal(imitate=True)(tries)
+    assert not relabelled["has_goal"].any() and not relabelled["has_expert"].any()
+    assert relabelled["goal"].isfinite().all() and HindsightGoal()(steps)["has_goal"].all()
 
 
 def test_an_episode_without_tries_gives_none():

@@ -129,7 +129,8 @@ def test_trying_proposals_leaves_the_episode_as_it_is():
 
 
 def test_proposals_of_another_shape_are_refused():
-    env = make_env(2, horizon=1, objects=OBJECTS)
+    """At any step, for the last one comes late."""
+    env = make_env(2, horizon=3, objects=OBJECTS)
     state = env.reset().set("action", torch.zeros(2, 6))
     with pytest.raises(ConfigError, match=r"give \(N, M, A\), here \(2, M, 6\)"):
         env.step(state.set("tried_action", torch.zeros(2, 3, 7)))

@@ -193,10 +193,10 @@ class GraspEnv(EnvBase):
         """Rewards (N, M, 1) of proposed actions (N, M, A), where an episode of `rows` is at its last step."""
         if actions is None:
             return {}
-        reward = np.full((*actions.shape[:2], 1), np.nan, dtype=np.float32)
+        proposed = self._check_tried(actions)
+        reward = np.full((*proposed.shape[:2], 1), np.nan, dtype=np.float32)
         last = rows[self._steps[rows] == self.horizon - 1]
-        if last.size:
-            reward[last, :, 0] = self._try_last(self._check_tried(actions), last)[last]
+        reward[last, :, 0] = self._try_last(proposed, last)[last]
         return {keys.TRIED_REWARD: torch.from_numpy(reward)}
 
     def _move_targets(self, rows: np.ndarray) -> None:

@@ -75,6 +75,8 @@ class HindsightGoal(Transform):
         following = steps.get("next").copy()
         after = following[keys.T_BASE_EE]
         T_base_reached = after.gather(-3, end[..., None, None].expand(after.shape))
+        # Of actions that were only tried nobody knows where they led.
+        success = success & T_base_reached.isfinite().all(-1).all(-1)
         for states in (steps, following):
             self._write(states, T_base_reached, success)
         if self._imitate:
