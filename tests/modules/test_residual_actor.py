@@ -19,6 +19,7 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.modules import (
     ACTOR_FEATURE,
     GivenFeature,
+    GoalPredictor,
     GraspActor,
     GraspCritic,
     PointNet,
@@ -297,9 +298,20 @@ def test_a_critic_learns_on_the_feature_of_the_residual_policy() -> None:
     assert critic(policy(see()))["state_action_value"].shape == (8, 2)
 
 
-def test_an_actor_without_an_encoder_is_no_base_of_a_residual_policy() -> None:
+def test_what_is_no_actor_on_an_encoder_is_no_base_of_a_residual_policy() -> None:
     with pytest.raises(ConfigError, match="has no encoder"):
         ResidualPolicy(make_base())
+    with pytest.raises(ConfigError, match="no action: give a GraspActor"):
+        ResidualPolicy(GoalPredictor(PointNet))
+    with pytest.raises(ConfigError, match="hidden=0"):
+        ResidualPolicy(GraspActor(PointNet), hidden=0)
+    with pytest.raises(ConfigError, match="last_steps=1 without horizon"):
+        ResidualPolicy(GraspActor(PointNet), last_steps=1)
+
+
+def test_a_part_of_a_residual_policy_is_a_sequence() -> None:
+    part = ResidualPolicy(GraspActor(PointNet)).select_subsequence(out_keys=[ACTOR_FEATURE])
+    assert part.out_keys == [ACTOR_FEATURE]
 
 
 @pytest.mark.parametrize("last_steps", [1, 3])

@@ -173,6 +173,17 @@ class _AtTheEnd:
         return time_left < self.left
 
 
+def _find_end(last_steps: int | None, horizon: int | None) -> _AtTheEnd | None:
+    """Where the last steps are; None for all."""
+    if last_steps is None:
+        return None
+    if horizon is None:
+        raise ConfigError(f"last_steps={last_steps} without horizon: give the environment's too.")
+    check_whole("horizon", horizon, 1)
+    check_whole("last_steps", last_steps, 1, horizon)
+    return _AtTheEnd((last_steps + 0.5) / horizon)
+
+
 class ResidualPolicy(TensorDictSequential):
     """A trained GraspActor, frozen, and a ResidualActor on the feature of its encoder.
 
@@ -186,7 +197,10 @@ class ResidualPolicy(TensorDictSequential):
         hidden: width of the correction's two hidden layers, which LayerNorm follows.
         last_steps: how many steps at the end of an episode are corrected; all if None. What the hand does
             before, a policy in closed loop undoes.
-        horizon: T of the environment, by which steps are counted.
+        horizon: T of the environment, by which the last steps are told.
+
+    Raises:
+        ConfigError: for networks without an encoder, or that do not act, and last steps without a horizon.
 
     Attributes:
         feature_size: of the encoder.
@@ -213,6 +227,10 @@ class ResidualPolicy(TensorDictSequential):
         """Reads it."""
         return cast(ResidualActor, self[1])
 
+    def select_subsequence(self, *args: Any, **options: Any) -> TensorDictSequential:
+        """A part of it, which is any sequence of modules."""
+        return TensorDictSequential(*self.module).select_subsequence(*args, **options)
+
     def __init__(
         self,
         actor: TensorDictModuleBase,
@@ -220,13 +238,13 @@ class ResidualPolicy(TensorDictSequential):
         scale: float = 0.2,
         hidden: int = 256,
         last_steps: int | None = None,
-        horizon: int = 30,
+        horizon: int | None = None,
     ) -> None:
-        check_whole("horizon", horizon, 1)
-        if last_steps is not None:
-            check_whole("last_steps", last_steps, 1, horizon)
+        check_whole("hidden", hidden, 1)
         encoder, rest = split_network(actor, ACTOR_FEATURE)
         network: Any = rest.module
+        if not hasattr(network, "action_head"):
+            raise ConfigError(f"actor writes {rest.out_keys} and no action: give a GraspActor.")
         encoder.module.freeze()
         size, num_actions = network.action_head[0].in_features, len(network.limits)
         residual = ResidualActor(
@@ -236,7 +254,7 @@ class ResidualPolicy(TensorDictSequential):
             in_keys=rest.in_keys,
             action_bound=network.limits,
             copy_base=False,
-            where=None if last_steps is None else _AtTheEnd((last_steps + 0.5) / horizon),
+            where=_find_end(last_steps, horizon),
         )
         modules: list = [encoder, residual]
         super().__init__(*modules)
