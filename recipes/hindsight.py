@@ -1,10 +1,11 @@
-"""Hindsight goals: a trained policy goes on on objects of which no model is known (Algorithm 1, Sec. 6.1).
+"""A trained policy goes on on objects without models: by a correction, or by hindsight goals (Sec. 6.1).
 
 python recipes/hindsight.py init=outputs/td3_bc/<run>                          # the YCB objects
 python recipes/hindsight.py init=outputs/td3_bc/<run> physics=low_friction
-python recipes/hindsight.py init=outputs/td3_bc/<run> objects=procedural
+python recipes/hindsight.py init=outputs/td3_bc/<run> experiment=[paper,hindsight/normal]    # Algorithm 1
 
-Nothing here knows an expert: its episodes have no goal but where their own hand has grasped, and no label but
+Nothing here knows an expert. By default a bounded correction of the policy learns of last actions that are
+tried. In the paper's experiments episodes have no goal but where their own hand has grasped, and no label but
 what they did themselves where it succeeded, with `online.self_imitation=true`.
 """
 

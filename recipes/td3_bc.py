@@ -38,7 +38,8 @@ def train(cfg: DictConfig) -> dict:
     with Run(cfg, make_first_learner(cfg), successor=find_successor(cfg)) as run:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         pretrain(run)
-        reinforce(run)
+        if run.progress < 1.0:
+            reinforce(run)
         return conclude(run, phase="reinforcement")
 
 
@@ -49,8 +50,9 @@ def pretrain(run: Run[ActorCriticLearner]) -> None:
         if run.cfg.pretrain.critic:
             run.learner.update_critic(batch)
             run.experience.update_priorities(batch)
-    if run.cfg.pretrain.steps and run.progress < 1.0:
-        run.measure_once("policy after imitation alone")
+    began, taught = run.learned_nothing and run.progress < 1.0, bool(run.cfg.pretrain.steps)
+    if began and (taught or run.cfg.init is not None):
+        run.measure_once("policy after imitation alone" if taught else "policy before reinforcement")
 
 
 def reinforce(run: Run[ActorCriticLearner]) -> None:
@@ -83,7 +85,8 @@ def make_actors(run: Run[ActorCriticLearner]) -> list[TensorDictSequential]:
     if cfg.offline.updates:
         return []
     modules: list = [learner.actor, run.tries, run.noise, run.expert_start]
-    if cfg.online.dagger or run.expert_start is not None or reads_goal(learner.actor):
+    reading = any(map(reads_goal, learner.networks.values()))
+    if cfg.online.dagger or run.expert_start is not None or reading:
         modules.insert(0, make_expert(cfg, "train", execute=False))  # first: an actor may read its goal
     return [TensorDictSequential(*(each for each in modules if each is not None))]
 

@@ -61,3 +61,17 @@ def test_what_cannot_be_fine_tuned_is_refused(composed, untrained):
         begun_with(composed(*TUNED, "init=pretrained", "offline.updates=3", recipe="hindsight"))
     with pytest.raises(ConfigError, match=r"has no demonstrations beside it.*demonstrations\.path="):
         begun_with(composed(*TUNED, f"init={untrained()}", recipe="hindsight"))
+
+
+def test_without_a_residual_a_critic_stays_as_it_was_trained(composed, untrained, demonstrations):
+    path = untrained(*BROUGHT, "model.critic.norm=layer", "model.critic.goal_prediction=false")
+    shutil.copytree(demonstrations, path.parent / "demonstrations")
+    begun = begun_with(composed(*TUNED, f"init={path.parent}", recipe="hindsight"))
+    assert begun.model.critic.norm == "layer" and begun.model.critic.goal_prediction is False
+
+
+def test_an_actor_that_reads_goals_gets_no_residual(composed, untrained):
+    given = ["experiment=[smoke,residual,hindsight/normal]", "replay.online_fraction=1.0"]
+    init = untrained(*BROUGHT, "model.actor.goal_input=true")
+    with pytest.raises(ConfigError, match=r"model\.actor\.goal_input=true with model\.residual"):
+        begun_with(composed(*given, f"init={init}", recipe="hindsight"))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 from pathlib import Path
@@ -18,6 +19,7 @@ from tests.recipes.test_td3_bc import wait_for_step
 from tests.warm_python import WarmProcess
 from torchgrasp.errors import ConfigError
 from torchgrasp.runs import load_weights
+from torchgrasp.transforms import RandomMirror
 
 GIVEN = ["experiment=[smoke,residual]", "online.critic_warmup=1", "evaluation.baselines=[]"]
 GIVEN += ["collector.tries.num_tries=3", "env.horizon=8", "total_env_steps=48"]
@@ -82,8 +84,10 @@ def test_killed_before_or_after_the_change_of_learners_it_ends_alike(corrected, 
 
 
 def test_a_trained_policy_is_corrected_from_the_first_step(composed, tmp_path, trained):
+    """Nobody demonstrates then; the encoder stays, and the policy is also measured as it was."""
     given = [f"init={trained[0]}", "pretrain.steps=0", *GIVEN]
-    td3_bc.train(composed(*given))
+    summary = td3_bc.train(composed(*given))
+    assert "policy before reinforcement" in summary["comparison"] and "demonstrations" not in summary
     before, after = (
         load_weights(each / "weights.safetensors")[0]["actor"]
         for each in (trained[0], find_run(tmp_path, "td3_bc"))
@@ -91,6 +95,13 @@ def test_a_trained_policy_is_corrected_from_the_first_step(composed, tmp_path, t
     encoder = {key: value for key, value in before.items() if ".encoder." in key}
     kept = [value for key, value in after.items() if ".encoder." in key]
     assert encoder and all(map(torch.equal, encoder.values(), kept))
+
+
+def test_fine_tuning_of_a_weights_file_needs_no_demonstrations(composed, tmp_path, trained):
+    file = shutil.copy(trained[0] / "weights.safetensors", tmp_path / "alone.safetensors")
+    given = ["experiment=[smoke,residual,hindsight/normal]", "objects=procedural", f"init={file}"]
+    hindsight.train(composed(*given, "total_env_steps=16", recipe="hindsight"))
+    assert not (find_run(tmp_path, "hindsight") / "demonstrations").exists()
 
 
 @pytest.mark.parametrize("begun_with_residual", [False, True])
@@ -115,12 +126,45 @@ def test_fine_tuning_corrects_what_it_begins_with(
         (["pretrain.steps=0"], "model.residual corrects a trained actor, and there is none"),
         (["pretrain.critic=true"], "pretrain.critic=true with model.residual"),
         (["model.actor.goal_input=true"], "model.actor.goal_input=true with model.residual"),
-        (["replay.keep_features=null", "pretrain.steps=1"], "replay.keep_features=None with model.residual"),
+        (["model.critic.goal_input=true"], "model.critic.goal_input=true with model.residual"),
+        (["replay.keep_features=null"], "replay.keep_features=None with model.residual"),
+        (["model.critic.norm=bogus"], "norm='bogus' is unknown"),
+        (["model.residual.last_steps=9"], "model.residual.last_steps=9"),
+        (["model.residual.horizon=9"], "model.residual.horizon=9 with env.horizon=8"),
+        (["collector.tries.horizon=9"], "collector.tries.horizon=9 with env.horizon=8"),
         (["model.residual.scale=2"], "model.residual.scale=2"),
         (["+model.residual.size=3"], "model.residual.size"),
         (["collector.tries.num_tries=0"], "collector.tries.num_tries=0"),
     ],
 )
-def test_what_does_not_go_with_a_residual_is_refused(composed, given, message):
+def test_what_does_not_go_with_a_residual_is_refused(composed, tmp_path, given, message):
+    """Before anything is collected."""
     with pytest.raises(ConfigError, match=message):
         td3_bc.train(composed(*GIVEN, *given))
+    assert not list(tmp_path.glob("td3_bc/*/demonstrations"))
+
+
+def test_a_corrected_policy_is_not_imitated_anew(composed, corrected):
+    with pytest.raises(ConfigError, match=r"has been corrected by reinforcement.* pretrain\.steps=0"):
+        td3_bc.train(composed(*GIVEN, f"init={corrected}"))
+
+
+def test_mirrored_states_are_corrected_too_and_the_buffer_may_lie_on_disk(composed, tmp_path):
+    """Laptop's augmentation, of which features of both views are kept; the files of imitation are gone."""
+    mirrored = "replay.augment={_target_: torchgrasp.transforms.RandomMirror}"
+    summary = td3_bc.train(composed(*GIVEN, mirrored, f"replay.folder={tmp_path / 'rows'}"))
+    assert summary["env_steps"] >= 48
+    rows = stored_rows(find_run(tmp_path, "td3_bc"), "online")
+    assert rows["features.actor"].shape[1:] == (len(RandomMirror().views), 64)
+    assert not (tmp_path / "rows" / "imitation").exists()
+
+
+def test_grasps_are_predicted_by_the_critic_of_a_residual(composed):
+    given = ["model.critic.goal_prediction=true", "evaluation.grasp_prediction=true"]
+    summary = td3_bc.train(composed(*GIVEN, *given))
+    assert set(summary["grasp_prediction"]) == {"actor", "critic"}
+
+
+def test_demonstrations_alone_teach_a_residual_offline(composed):
+    summary = td3_bc.train(composed(*GIVEN, "offline.updates=4"))
+    assert summary["gradient_steps"] == 6 + 4

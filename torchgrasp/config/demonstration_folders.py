@@ -7,7 +7,7 @@ from pathlib import Path
 from omegaconf import DictConfig
 from tensordict.nn import TensorDictSequential
 
-from torchgrasp.config.demonstration_sources import list_demonstrations, make_source
+from torchgrasp.config.demonstration_sources import list_read, make_source
 from torchgrasp.config.environments import make_expert
 from torchgrasp.config.exploration import make_demonstrator
 from torchgrasp.config.parts import at_place, build
@@ -67,7 +67,7 @@ def make_collecting_policy(cfg: DictConfig) -> TensorDictSequential:
 def gather_sources(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> list[DemonstrationSource]:
     """The sources of demonstrations: folders that were given, or below `run_dir`, collected as configured."""
     sources = []
-    for name, each in list_demonstrations(cfg).items():
+    for name, each in list_read(cfg).items():
         if each.demonstrations.path is not None:
             sources.append(take_given(each, name))
             continue
@@ -79,7 +79,7 @@ def gather_sources(cfg: DictConfig, pool: EpisodePool, run_dir: Path) -> list[De
 
 def given_sources(cfg: DictConfig) -> list[DemonstrationSource]:
     """The sources of demonstrations where nothing is collected: all of them must be given."""
-    return [take_given(each, name) for name, each in list_demonstrations(cfg).items()]
+    return [take_given(each, name) for name, each in list_read(cfg).items()]
 
 
 def take_given(cfg: DictConfig, name: str) -> DemonstrationSource:

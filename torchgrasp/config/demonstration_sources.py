@@ -41,6 +41,17 @@ def list_demonstrations(cfg: DictConfig) -> dict[str, DictConfig]:
     return {name: OmegaConf.create({**plain, "demonstrations": each}) for name, each in sources.items()}
 
 
+def list_read(cfg: DictConfig) -> dict[str, DictConfig]:
+    """Those of `list_demonstrations` that a run learns from: none where it draws own episodes alone."""
+    return {} if learns_alone(cfg) else list_demonstrations(cfg)
+
+
+def learns_alone(cfg: DictConfig) -> bool:
+    """Whether a run learns from its own episodes alone; hindsight.py has no imitation."""
+    taught = cfg.recipe != "hindsight" and cfg.pretrain.steps
+    return not taught and not cfg.offline.updates and cfg.replay.online_fraction == 1.0
+
+
 def count_steps(configurations: Iterable[DictConfig]) -> int:
     """Steps that the demonstrations of all sources are asked for."""
     return sum(each.demonstrations.steps for each in configurations)

@@ -7,8 +7,10 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from torchgrasp.config.demonstration_sources import learns_alone
 from torchgrasp.config.networks import forget_encoder_files
 from torchgrasp.config.overrides import given_names
+from torchgrasp.config.residual import check_residual, has_residual
 from torchgrasp.config.weights_files import read_trained, weights_file
 from torchgrasp.data import count_shards
 from torchgrasp.errors import ConfigError
@@ -36,7 +38,7 @@ def begun_with(cfg: DictConfig) -> DictConfig:
         raise ConfigError("init is missing: give the run directory or weights file that is to be tuned.")
     path = Path(str(cfg.init))
     brought = read_trained(path, cfg.trust).config
-    own = (*_FROZEN, *_begun_anew(brought))
+    own = (*_FROZEN, *_RESIDUAL) if _begins_anew(cfg, brought) else _FROZEN
     refused = [name for name in given_names() if name.split(".")[0] in _PARTS and not name.startswith(own)]
     if refused:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
@@ -44,18 +46,19 @@ def begun_with(cfg: DictConfig) -> DictConfig:
     plain |= {name: brought[name] for name in _PARTS if name in brought}
     plain["env"] |= {name: brought["env"][name] for name in _TASK}
     plain["replay"] |= {name: brought["replay"][name] for name in _STORAGE}
-    if cfg.demonstrations.path is None:
+    if cfg.demonstrations.path is None and not learns_alone(cfg):
         plain["demonstrations"] |= _find_demonstrations(path, brought["demonstrations"])
     begun: Any = OmegaConf.create(plain)
     forget_encoder_files(begun.model)
     for name in own:
         OmegaConf.update(begun, name, OmegaConf.select(cfg, name), force_add=True)
+    check_residual(begun)
     return begun
 
 
-def _begun_anew(brought: dict[str, Any]) -> tuple[str, ...]:
-    """What a residual and its critic are made of, unless `init` has them."""
-    return _RESIDUAL if brought["model"].get("residual") is None else ()
+def _begins_anew(cfg: DictConfig, brought: dict[str, Any]) -> bool:
+    """Whether fine-tuning learns a correction, with a critic of its own, and `init` has none."""
+    return has_residual(cfg) and brought["model"].get("residual") is None
 
 
 def _find_demonstrations(init: Path, brought: dict[str, Any]) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -14,8 +15,11 @@ from torchgrasp import keys
 from torchgrasp.config.acceleration_choice import make_acceleration
 from torchgrasp.config.environments import make_actions
 from torchgrasp.config.kept_features import keep_features
-from torchgrasp.config.networks import begin_networks, load_base, make_networks, without_residual
+from torchgrasp.config.networks import begin_networks, load_base, make_networks
 from torchgrasp.config.parts import build
+from torchgrasp.config.residual import has_residual, imitation_config, without_residual
+from torchgrasp.config.weights_files import read_trained
+from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_SIZE, GOAL_SIZE
 from torchgrasp.modules.goal_keys import predicts_goal
 from torchgrasp.objectives import (
@@ -31,15 +35,31 @@ from torchgrasp.training import ActorCriticLearner, ImitationLearner
 
 
 def make_first_learner(cfg: DictConfig) -> ImitationLearner:
-    """Who learns first: where imitation makes the base of a residual, the actor alone, else all networks."""
+    """Who learns first: where imitation makes the base of a residual, the actor alone, else all networks.
+
+    What is wrong with the networks and losses that follow is refused here, before anything is learned.
+    """
     if find_successor(cfg) is None:
         return make_actor_critic(cfg)
-    return make_imitation_learner(cfg)
+    if cfg.init is not None and not checkpoint_exists(cfg.resume):
+        _check_begun(Path(str(cfg.init)), cfg.trust)
+    first = imitation_config(cfg)
+    with torch.random.fork_rng(devices=[]):
+        make_actor_critic(cfg, make_imitation_learner(first))
+    return make_imitation_learner(first)
+
+
+def _check_begun(init: Path, trust: Iterable[str]) -> None:
+    if read_trained(init, trust).config["model"].get("residual") is not None:
+        raise ConfigError(
+            f"init={init} has been corrected by reinforcement: imitation would change what is corrected. "
+            "Give pretrain.steps=0, and its correction goes on."
+        )
 
 
 def find_successor(cfg: DictConfig) -> Callable[[ImitationLearner], ActorCriticLearner] | None:
     """What makes the learner of the main phase of the first one; None where that goes on."""
-    if cfg.model.get("residual") is None or not cfg.pretrain.steps:
+    if not has_residual(cfg) or not cfg.pretrain.steps:
         return None
     return functools.partial(make_actor_critic, cfg)
 
@@ -49,8 +69,7 @@ def make_imitation_learner(cfg: DictConfig) -> ImitationLearner:
 
     It has no residual: imitation trains the actor itself.
     """
-    cfg = cfg.copy()
-    cfg.model = without_residual(cfg.model)
+    cfg = without_residual(cfg)
     networks = _first_networks(cfg, critic=False)
     imitation = _make_imitation(cfg, keep_features(cfg, networks).networks, *_distances(cfg.loss))
     return ImitationLearner(networks, **imitation, **_make_optimizers(cfg, networks))
@@ -90,7 +109,7 @@ def _first_networks(
 ) -> dict[str, TensorDictModuleBase]:
     """The networks on their device; a run that goes on has weights of its own."""
     fresh = base is None and not checkpoint_exists(cfg.resume)
-    if fresh and cfg.model.get("residual") is not None and cfg.init is not None:
+    if fresh and has_residual(cfg) and cfg.init is not None:
         base = load_base(cfg)
     networks = make_networks(cfg.model, critic=critic, base=base)
     networks = {name: each.to(cfg.device) for name, each in networks.items()}

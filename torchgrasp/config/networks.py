@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
-from torchgrasp.config.parts import build
+from torchgrasp.config.parts import at_place, build
+from torchgrasp.config.residual import without_residual
 from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.modules import ACTOR_FEATURE, GivenFeature, ResidualPolicy
@@ -31,7 +32,8 @@ def make_networks(
     actor = build(model.actor) if base is None else base
     networks = {"actor": actor}
     if (residual := model.get("residual")) is not None:
-        actor = networks["actor"] = ResidualPolicy(actor, **residual)
+        with at_place("model.residual"):
+            actor = networks["actor"] = ResidualPolicy(actor, **residual)
     if critic:
         networks["critic"] = build(model.critic, **_share_encoder(actor))
     if reads_goal(networks["actor"]):
@@ -47,17 +49,12 @@ def _share_encoder(actor: TensorDictModuleBase) -> dict[str, Any]:
     return {"encoder": encoder, "fusion": "late", "freeze_encoder": False, "in_keys": in_keys}
 
 
-def without_residual(model: DictConfig) -> DictConfig:
-    """The model of the actor alone, as imitation trains it."""
-    return cast(DictConfig, OmegaConf.merge(model, {"residual": None}))
-
-
 def load_base(cfg: DictConfig) -> TensorDictModuleBase | None:
     """The actor that `init` names, to be corrected; None where it has a residual of its own."""
     trained = read_trained(Path(str(cfg.init)), cfg.trust)
     if trained.config["model"].get("residual") is not None:
         return None
-    networks = make_networks(without_residual(cfg.model), critic=False)
+    networks = make_networks(without_residual(cfg).model, critic=False)
     load_networks(networks, trained)
     return networks["actor"]
 
@@ -100,7 +97,7 @@ def load_networks(networks: Mapping[str, TensorDictModuleBase], trained: Trained
 
     A critic stays as it is where imitation alone, which trains none, has left the file.
     """
-    if trained.config.get("recipe") == "bc" and "critic" in networks:
+    if "critic" in networks and "critic" not in trained.states:
         print(f"{trained.path} was trained by imitation: the critic begins anew.")
         networks = {name: each for name, each in networks.items() if name != "critic"}
     _check_sizes(networks, trained)

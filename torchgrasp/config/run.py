@@ -108,10 +108,10 @@ class Run(RunState[LearnerT]):
 
     def begin(self, sources: Sequence[DemonstrationSource]) -> None:
         """Take up the checkpoint of the directory, or where there is none fill the buffer; open the log."""
-        self._sources = list(sources)
-        resumed = checkpoint_exists(self.folder)
-        if resumed and self._has_succeeded():
-            self._succeed()
+        self._sources, resumed = list(sources), checkpoint_exists(self.folder)
+        if self._successor is not None and resumed and self._has_succeeded():
+            self._succeed(self._successor)
+            sources = self._read_after_imitation()
         self.experience.make_buffer(sources)
         if resumed:
             self._take_up(load_checkpoint(self.folder / "checkpoint", like=self._state()))
@@ -154,9 +154,14 @@ class Run(RunState[LearnerT]):
         """From here on the successor learns, of the same demonstrations; nothing changes without one."""
         if self._successor is None:
             return
-        self._succeed()
-        self.experience.make_buffer(self._sources)
+        self._succeed(self._successor)
+        self.experience.make_buffer(self._read_after_imitation())
         self.experience.load_demonstrations()
+
+    def _read_after_imitation(self) -> list[DemonstrationSource]:
+        """The demonstrations that the main phase learns from, none where it draws own episodes alone."""
+        alone = self.cfg.replay.online_fraction == 1.0 and not self.cfg.offline.updates
+        return [] if alone else self._sources
 
     def act(self, *actors: Callable) -> None:
         """From now on `episodes` are those of the actors, in turn by iteration; without any, none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -13,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchgrasp.config.environments import observed_shapes
 from torchgrasp.config.main_phase import MainPhase
 from torchgrasp.config.parts import build
+from torchgrasp.config.residual import imitation_config
 from torchgrasp.config.transition_storage import make_experience
 from torchgrasp.errors import CheckpointError
 from torchgrasp.modules import ResidualPolicy
@@ -64,7 +66,7 @@ class RunState(Generic[LearnerT]):
     ) -> None:
         self.cfg, self._phase, self._own, self._successor = cfg, MainPhase.of(cfg), own, successor
         self._in_two = successor is not None
-        self._learn_by(cast(LearnerT, learner))
+        self._learn_by(cast(LearnerT, learner), imitation_config(cfg) if self._in_two else cfg)
         self.noise = build(cfg.collector.noise).to(cfg.device)
         self.results: dict[str, dict] = {}
         self.pretrain_steps = self.gradient_steps = self.env_steps = self.iteration = 0
@@ -74,17 +76,17 @@ class RunState(Generic[LearnerT]):
         self._started, self._earlier_seconds = time.monotonic(), 0.0
         self._saved: tuple = ()
 
-    def _learn_by(self, learner: LearnerT) -> None:
+    def _learn_by(self, learner: LearnerT, cfg: DictConfig) -> None:
         """Have `learner` learn from now on, of what it reads."""
         self.learner = learner
-        self.experience = make_experience(
-            self.cfg, learner.networks, observed_shapes(self.cfg), own=self._own
-        )
+        self.experience = make_experience(cfg, learner.networks, observed_shapes(cfg), own=self._own)
 
-    def _succeed(self) -> None:
+    def _succeed(self, make: Callable[[ImitationLearner], LearnerT]) -> None:
         """Have the learner of the main phase, made of the one so far, take its place."""
-        assert self._successor is not None
-        self._learn_by(self._successor(self.learner))
+        del self.experience  # its memory, and its files, before others are made
+        if self.cfg.replay.folder is not None:
+            shutil.rmtree(imitation_config(self.cfg).replay.folder, ignore_errors=True)
+        self._learn_by(make(self.learner), self.cfg)
         self._successor = None
 
     def _has_succeeded(self) -> bool:

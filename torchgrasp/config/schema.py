@@ -153,7 +153,7 @@ class Residual(Section):
     scale: Annotated[float, between(0.0, 1.0)] = 0.2
     hidden: Annotated[int, at_least(1, 100_000)] = 256
     last_steps: Positive | None = None
-    horizon: Horizon = 30
+    horizon: Horizon | None = None
 
 
 class Model(OpenSection):

@@ -7,6 +7,7 @@ from omegaconf import DictConfig, OmegaConf
 from torchgrasp.config.demonstration_sources import list_demonstrations
 from torchgrasp.config.exploration import check_demonstrators
 from torchgrasp.config.parts import at_place
+from torchgrasp.config.residual import check_residual
 from torchgrasp.config.schema import Demonstrations, Training
 from torchgrasp.config.value_checks import check_section, check_values
 from torchgrasp.config.weights_files import check_weights
@@ -31,25 +32,9 @@ def check_training(cfg: DictConfig) -> None:
         place = f"demonstrations.more.{name}" if further else "demonstrations"
         _check_demonstrations(each.demonstrations, place)
         check_demonstrators(each)
-    _check_residual(cfg)
+    check_residual(cfg)
     if cfg.init is not None and not checkpoint_exists(cfg.resume):
         check_weights("init", str(cfg.init))
-
-
-def _check_residual(cfg: DictConfig) -> None:
-    """Refuse what does not go together with a residual."""
-    if cfg.model.get("residual") is None:
-        return
-    if cfg.pretrain.critic:
-        raise ConfigError(
-            "pretrain.critic=true with model.residual: the critic reads the features of the trained actor, "
-            "and begins after imitation. Give pretrain.critic=false."
-        )
-    if cfg.model.actor.get("goal_input"):
-        raise ConfigError(
-            "model.actor.goal_input=true with model.residual: an actor that is told the goal follows it. "
-            "Give model.actor.goal_input=false, or model.residual=null."
-        )
 
 
 def _check_demonstrations(demonstrations: DictConfig, place: str) -> None:

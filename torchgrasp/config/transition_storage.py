@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
-from torchgrasp.config.demonstration_sources import count_steps, list_demonstrations
+from torchgrasp.config.demonstration_sources import count_steps, list_read
 from torchgrasp.config.kept_features import check_augmentation, keep_features
 from torchgrasp.config.networks import check_state_inputs
 from torchgrasp.config.parts import at_place, build
@@ -51,7 +51,7 @@ def make_experience(
     row = make_row(codec, augment, shapes)
     check_state_inputs(cfg.model, shapes)
     capacity = 0 if cfg.offline.updates else int(replay.online_capacity)
-    asked = count_steps(list_demonstrations(cfg).values())
+    asked = count_steps(list_read(cfg).values())
     folder = None if replay.folder is None else str(replay.folder)  # a name of digits is read as a number
     with at_place("replay"):
         row_bytes = count_row_bytes(row, prioritised=priority is not None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import roma
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import goal_to_pose, invert_pose
+from torchgrasp.modules import ACTOR_FEATURE, ResidualPolicy
 from torchgrasp.modules.goal_keys import predicts_goal, reads_goal
 from torchgrasp.objectives.functional import pose_distance
 from torchgrasp.objects import GraspObject
@@ -174,7 +175,10 @@ def find_predictors(networks: Mapping[str, TensorDictModuleBase]) -> dict[str, T
     for each in ("actor", "critic"):
         if each not in networks or not predicts_goal(networks[each]):
             continue
-        if not reads_goal(networks[each]):
+        if each == "critic" and ACTOR_FEATURE in networks[each].in_keys:
+            looks: Any = cast(ResidualPolicy, networks["actor"]).encoder
+            predictors[each] = TensorDictSequential(looks, networks[each])
+        elif not reads_goal(networks[each]):
             predictors[each] = networks[each]
         elif goal_network is not None:
             modules: list = [goal_network, networks[each]]

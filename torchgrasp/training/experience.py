@@ -108,7 +108,7 @@ class Experience:
             steps = self._opened[each.name].card[COUNTED[each.count]]
             weight = steps if each.weight is None else each.weight
             weights[each.name] = float(weight) if each.labels or not labelled else 0.0
-        if not sum(weights.values()):
+        if weights and not sum(weights.values()):
             raise ConfigError(
                 "No demonstrations are left to learn from: give one of them labels=true and a weight above 0."
             )
@@ -196,6 +196,8 @@ class Experience:
     def describe(self) -> dict:
         """Kind, episodes, successes, steps and bytes of the demonstrations, and of further ones by name."""
         cards = {name: {key: each.card[key] for key in _TOLD} for name, each in self._opened.items()}
+        if not cards:
+            return {}
         first, *others = cards
         more = {"more_demonstrations": {name: cards[name] for name in others}} if others else {}
         return {"demonstrations": cards[first], **more}
