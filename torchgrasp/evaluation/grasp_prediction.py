@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import roma
 import torch
@@ -176,8 +176,8 @@ def find_predictors(networks: Mapping[str, TensorDictModuleBase]) -> dict[str, T
         if each not in networks or not predicts_goal(networks[each]):
             continue
         if each == "critic" and ACTOR_FEATURE in networks[each].in_keys:
-            looks: Any = cast(ResidualPolicy, networks["actor"]).encoder
-            predictors[each] = TensorDictSequential(looks, networks[each])
+            reading: list = [cast(ResidualPolicy, networks["actor"]).encoder, networks[each]]
+            predictors[each] = TensorDictSequential(*reading)
         elif not reads_goal(networks[each]):
             predictors[each] = networks[each]
         elif goal_network is not None:

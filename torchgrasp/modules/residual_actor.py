@@ -229,7 +229,8 @@ class ResidualPolicy(TensorDictSequential):
 
     def select_subsequence(self, *args: Any, **options: Any) -> TensorDictSequential:
         """A part of it, which is any sequence of modules."""
-        return TensorDictSequential(*self.module).select_subsequence(*args, **options)
+        parts: list = [self.encoder, self.residual]
+        return TensorDictSequential(*parts).select_subsequence(*args, **options)
 
     def __init__(
         self,

@@ -111,7 +111,8 @@ class KeepFeatures(Transform):
         shape, rows = states.shape, states.select(*self.in_keys)
         rows = rows.reshape(-1) if shape else rows.unsqueeze(0)
         first = self._find_changes(rows)
-        parts = [self._encode_rows(part) for part in rows[first].split(self._chunk_size)]
+        different = cast(TensorDictBase, rows[first])
+        parts = [self._encode_rows(part) for part in different.split(self._chunk_size)]
         if not parts:
             parts = [self._encode_rows(rows)]
         index = first.cumsum(0) - 1
