@@ -38,8 +38,7 @@ def train(cfg: DictConfig) -> dict:
     with Run(cfg, make_first_learner(cfg), successor=find_successor(cfg)) as run:
         run.begin(gather_sources(cfg, run.pool, run.folder))
         pretrain(run)
-        if run.progress < 1.0:
-            reinforce(run)
+        reinforce(run)
         return conclude(run, phase="reinforcement")
 
 
@@ -64,7 +63,7 @@ def reinforce(run: Run[ActorCriticLearner]) -> None:
     cfg, learner, experience = run.cfg, run.learner, run.experience
     run.act(*make_actors(run))
     experience.draw_all()
-    if run.learned_nothing:
+    if run.learned_nothing and run.progress < 1.0:
         learner.copy_to_targets()
     for iteration in run.iterations("reinforcement"):
         episodes = run.episodes()

@@ -21,7 +21,7 @@ CELLS = sorted(
     if path.parent.name != "parts"
 )
 # The slow ones say the same at other sizes.
-SLOW = (pytest.param(each, marks=pytest.mark.slow) for each in ("demo", "minutes", "smoke"))
+SLOW = (pytest.param(each, marks=pytest.mark.slow) for each in ("minutes", "smoke"))
 SCALES = ["laptop", "paper", *SLOW]
 _AUX = ("model.actor.goal_prediction", "model.critic.goal_prediction")
 _READ = ("model.actor.goal_input", "model.critic.goal_input")

@@ -32,7 +32,7 @@ def test_what_cannot_be_called_is_named_with_its_reader_and_the_way_out(composed
     with pytest.raises(ConfigError, match=told) as raised:
         check_exploration(cfg, name, "the run", other)
     assert way.split(",")[0] in str(raised.value) and str(raised.value).endswith(f"{other or 'off)'}.")
-    check_exploration(composed(), name, "the run")
+    check_exploration(composed("experiment=laptop"), name, "the run")
 
 
 def test_a_learner_needs_expert_starts_where_they_are_asked_for(composed):

@@ -25,7 +25,8 @@ def choices(group: str) -> list[str]:
 def test_every_choice_builds(composed, experiment, model, loss):
     given = [f"model={model}", f"loss={loss}", "model.width=0.25"]
     cfg = composed(f"experiment={experiment}", *given)
-    corrects = experiment == "residual"
+    corrects = cfg.model.residual is not None
+    assert corrects is (experiment in ("demo", "residual"))
     learner = make_actor_critic(cfg, make_imitation_learner(cfg) if corrects else None)
     assert learner.loss.bc_weight == (0.0 if corrects else WEIGHTS[loss])
     assert learner.targets.period == cfg.online.period

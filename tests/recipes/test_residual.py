@@ -165,6 +165,15 @@ def test_grasps_are_predicted_by_the_critic_of_a_residual(composed):
     assert set(summary["grasp_prediction"]) == {"actor", "critic"}
 
 
+def test_without_a_main_phase_imitation_alone_is_saved_and_another_run_begins_with_it(composed, tmp_path):
+    td3_bc.train(composed(*GIVEN, "total_env_steps=0"))
+    run_dir = find_run(tmp_path, "td3_bc")
+    states, config = load_weights(run_dir / "weights.safetensors")
+    assert set(states) == {"actor"} and config["model"]["residual"] is None
+    begun = [f"init={run_dir}", "pretrain.steps=0", f"output_dir={tmp_path / 'begun'}"]
+    td3_bc.train(composed(*GIVEN, *begun, "total_env_steps=16"))
+
+
 def test_demonstrations_alone_teach_a_residual_offline(composed):
     summary = td3_bc.train(composed(*GIVEN, "offline.updates=4"))
     assert summary["gradient_steps"] == 6 + 4

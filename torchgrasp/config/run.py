@@ -151,8 +151,11 @@ class Run(RunState[LearnerT]):
                 progress.update()
 
     def succeed(self) -> None:
-        """From here on the successor learns, of the same demonstrations; nothing changes without one."""
-        if self._successor is None:
+        """From here on the successor learns, of the same demonstrations.
+
+        Nothing changes where there is none, and at the end of a run, which has no main phase then.
+        """
+        if self._successor is None or self.progress >= 1.0:
             return
         self._succeed(self._successor)
         self.experience.make_buffer(self._read_after_imitation())
