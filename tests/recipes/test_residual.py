@@ -1,10 +1,7 @@
 """A residual in td3_bc.py and hindsight.py: imitation, then a bounded correction, learned of tries."""
 
 import json
-import os
 import shutil
-import signal
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,11 +9,9 @@ import torch
 
 import torchgrasp
 from recipes import evaluate, hindsight, td3_bc
-from tests import warm_python
 from tests.configurations import compose_config
-from tests.recipes.runner import command, environment, find_run, read_metrics, read_results, stored_rows
-from tests.recipes.test_td3_bc import wait_for_step
-from tests.warm_python import WarmProcess
+from tests.recipes.runner import find_run, read_metrics, read_results, stored_rows
+from tests.recipes.test_td3_bc import kill_and_resume
 from torchgrasp.errors import ConfigError
 from torchgrasp.runs import load_weights
 from torchgrasp.transforms import RandomMirror
@@ -64,19 +59,7 @@ def test_a_trained_residual_acts_alone(corrected, tmp_path):
 
 @pytest.mark.parametrize("kill_at", [0, 7])
 def test_killed_before_or_after_the_change_of_learners_it_ends_alike(corrected, tmp_path, kill_at):
-    process = WarmProcess(
-        command("td3_bc", tmp_path, *GIVEN),
-        env=environment(),
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    run_dir = wait_for_step(tmp_path, kill_at, process)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert not (run_dir / "summary.json").exists()
-    done = warm_python.run(command("td3_bc", tmp_path, f"resume={run_dir}"), timeout=300, env=environment())
-    assert done.returncode == 0, done.stderr
+    run_dir = kill_and_resume(tmp_path, kill_at, *GIVEN)
     assert read_results(run_dir) == read_results(corrected)
     ours, theirs = (load_weights(each / "weights.safetensors")[0] for each in (run_dir, corrected))
     for name in ("actor", "critic"):

@@ -87,19 +87,7 @@ def test_a_run_tells_where_its_time_goes_and_its_memory(finished_run):
 )
 def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at, overrides):
     """Killed at the first checkpoint (0, while it imitates) or at a gradient step; also with a worker."""
-    process = WarmProcess(
-        command("td3_bc", tmp_path, "experiment=smoke", *overrides),
-        env=environment(),
-        start_new_session=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    run_dir = wait_for_step(tmp_path, kill_at, process)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    assert not (run_dir / "summary.json").exists()
-    done = warm_python.run(command("td3_bc", tmp_path, f"resume={run_dir}"), timeout=300, env=environment())
-    assert done.returncode == 0, done.stderr
+    run_dir = kill_and_resume(tmp_path, kill_at, "experiment=smoke", *overrides)
     assert read_results(run_dir) == read_results(finished_run)
     ours, theirs = (json.loads((each / "summary.json").read_text()) for each in (run_dir, finished_run))
     assert ours["comparison"] == theirs["comparison"]
@@ -108,7 +96,25 @@ def test_killed_and_resumed_equals_never_killed(finished_run, tmp_path, kill_at,
     assert len(weights[0]) > 1000 and weights[0][-100_000:] == weights[1][-100_000:]
 
 
-def wait_for_step(root: Path, step: int, process: WarmProcess | subprocess.Popen) -> Path:
+def kill_and_resume(root: Path, kill_at: int, *overrides: str) -> Path:
+    """The directory of a run that was killed at a step, see `_wait_for_step`, and resumed to its end."""
+    process = WarmProcess(
+        command("td3_bc", root, *overrides),
+        env=environment(),
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    run_dir = _wait_for_step(root, kill_at, process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (run_dir / "summary.json").exists()
+    done = warm_python.run(command("td3_bc", root, f"resume={run_dir}"), timeout=300, env=environment())
+    assert done.returncode == 0, done.stderr
+    return run_dir
+
+
+def _wait_for_step(root: Path, step: int, process: WarmProcess | subprocess.Popen) -> Path:
     deadline = time.monotonic() + 240
     while time.monotonic() < deadline and process.poll() is None:
         for run_dir in root.glob("td3_bc/*"):
@@ -129,7 +135,7 @@ def test_a_killed_run_leaves_no_worker_behind(tmp_path):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    wait_for_step(tmp_path, 0, process)
+    _wait_for_step(tmp_path, 0, process)
     process.kill()
     process.wait()
     deadline = time.monotonic() + 20

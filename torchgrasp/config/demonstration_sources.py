@@ -49,7 +49,12 @@ def list_read(cfg: DictConfig) -> dict[str, DictConfig]:
 def learns_alone(cfg: DictConfig) -> bool:
     """Whether a run learns from its own episodes alone; hindsight.py has no imitation."""
     taught = cfg.recipe != "hindsight" and cfg.pretrain.steps
-    return not taught and not cfg.offline.updates and cfg.replay.online_fraction == 1.0
+    return not taught and draws_own_alone(cfg)
+
+
+def draws_own_alone(cfg: DictConfig) -> bool:
+    """Whether the main phase draws its own episodes alone."""
+    return not cfg.offline.updates and cfg.replay.online_fraction == 1.0
 
 
 def count_steps(configurations: Iterable[DictConfig]) -> int:

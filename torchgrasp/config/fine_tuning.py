@@ -38,7 +38,8 @@ def begun_with(cfg: DictConfig) -> DictConfig:
         raise ConfigError("init is missing: give the run directory or weights file that is to be tuned.")
     path = Path(str(cfg.init))
     brought = read_trained(path, cfg.trust).config
-    own = (*_FROZEN, *_RESIDUAL) if _begins_anew(cfg, brought) else _FROZEN
+    # A correction is learned anew, with a critic of its own, unless `init` has one.
+    own = (*_FROZEN, *_RESIDUAL) if has_residual(cfg) and not has_residual(brought) else _FROZEN
     refused = [name for name in given_names() if name.split(".")[0] in _PARTS and not name.startswith(own)]
     if refused:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
@@ -54,11 +55,6 @@ def begun_with(cfg: DictConfig) -> DictConfig:
         OmegaConf.update(begun, name, OmegaConf.select(cfg, name), force_add=True)
     check_residual(begun)
     return begun
-
-
-def _begins_anew(cfg: DictConfig, brought: dict[str, Any]) -> bool:
-    """Whether fine-tuning learns a correction, with a critic of its own, and `init` has none."""
-    return has_residual(cfg) and brought["model"].get("residual") is None
 
 
 def _find_demonstrations(init: Path, brought: dict[str, Any]) -> dict[str, Any]:

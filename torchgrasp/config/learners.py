@@ -50,7 +50,7 @@ def make_first_learner(cfg: DictConfig) -> ImitationLearner:
 
 
 def _check_begun(init: Path, trust: Iterable[str]) -> None:
-    if read_trained(init, trust).config["model"].get("residual") is not None:
+    if has_residual(read_trained(init, trust).config):
         raise ConfigError(
             f"init={init} has been corrected by reinforcement: imitation would change what is corrected. "
             "Give pretrain.steps=0, and its correction goes on."

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
 from torchgrasp.config.parts import at_place, build
-from torchgrasp.config.residual import without_residual
+from torchgrasp.config.residual import has_residual, without_residual
 from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.modules import ACTOR_FEATURE, GivenFeature, ResidualPolicy
@@ -52,7 +52,7 @@ def _share_encoder(actor: TensorDictModuleBase) -> dict[str, Any]:
 def load_base(cfg: DictConfig) -> TensorDictModuleBase | None:
     """The actor that `init` names, to be corrected; None where it has a residual of its own."""
     trained = read_trained(Path(str(cfg.init)), cfg.trust)
-    if trained.config["model"].get("residual") is not None:
+    if has_residual(trained.config):
         return None
     networks = make_networks(without_residual(cfg).model, critic=False)
     load_networks(networks, trained)
@@ -84,7 +84,7 @@ def begin_networks(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]
     if cfg.init is not None:
         for name in load_networks(networks, read_trained(Path(str(cfg.init)), cfg.trust)):
             del untrained[name]
-    if "actor" in untrained and cfg.model.get("residual") is not None:
+    if "actor" in untrained and has_residual(cfg):
         raise ConfigError(
             "model.residual corrects a trained actor, and there is none: add init=<run directory or weights "
             "file>, or imitation before it by pretrain.steps, or leave it out by model.residual=null."

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Mapping
+from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.errors import ConfigError
 
 
-def has_residual(cfg: DictConfig) -> bool:
-    """Whether reinforcement learns a correction of the actor."""
-    return OmegaConf.select(cfg, "model.residual") is not None
+def has_residual(cfg: Mapping[Any, Any]) -> bool:
+    """Whether the actor of a configuration, one's own or that of trained weights, is corrected."""
+    return cfg["model"].get("residual") is not None
 
 
 def without_residual(cfg: DictConfig) -> DictConfig:

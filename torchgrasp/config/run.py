@@ -9,6 +9,7 @@ from typing import Any
 from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
+from torchgrasp.config.demonstration_sources import draws_own_alone
 from torchgrasp.config.environments import LEARNED_FROM, make_pool, prepare_objects
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
 from torchgrasp.config.main_phase import count_rounds, describe_idle_workers
@@ -163,8 +164,7 @@ class Run(RunState[LearnerT]):
 
     def _read_after_imitation(self) -> list[DemonstrationSource]:
         """The demonstrations that the main phase learns from, none where it draws own episodes alone."""
-        alone = self.cfg.replay.online_fraction == 1.0 and not self.cfg.offline.updates
-        return [] if alone else self._sources
+        return [] if draws_own_alone(self.cfg) else self._sources
 
     def act(self, *actors: Callable) -> None:
         """From now on `episodes` are those of the actors, in turn by iteration; without any, none."""
