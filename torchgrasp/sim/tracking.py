@@ -13,6 +13,9 @@ from torchgrasp.sim.panda import Panda
 
 _IDENTITY = np.eye(6)
 _ARM = np.array([1] * 7 + [0, 0], dtype=np.int32)
+# Weights of the pose error once a joint is at its stop: the hand goes where it is sent and turns as far as it
+# can. At equal weights, a metre a radian, a wrist that cannot turn holds the whole hand back.
+_POSITION_FIRST = np.array([1.0, 1.0, 1.0, 0.003, 0.003, 0.003])
 
 
 def track_pose(
@@ -21,7 +24,8 @@ def track_pose(
     """Inverse kinematics that continues smoothly from q: damped least squares within the limits.
 
     Pinocchio's Newton steps, which know no joint limits, come first; where they end outside of them, or
-    nowhere, the same steps are taken here with the joints that meet a limit locked.
+    nowhere, the same steps are taken here with the joints that meet a limit locked. Where the others
+    cannot make up for these, position comes before rotation.
 
     Args:
         q: (N, 7) joint angles to start from.
@@ -67,18 +71,20 @@ def _track_within_limits(
 
 
 def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Array:
-    """One damped step; joints that a limit stops are locked and the others take over."""
+    """One damped step; joints that a limit stops are locked, the others take over, position first."""
     ridge = damping**2 * _IDENTITY
-    target = error[..., None]
+    locked = np.zeros(q.shape, dtype=bool)
     for _ in range(3):
-        jt = j.transpose(0, 2, 1)
-        step = (jt @ np.linalg.solve(j @ jt + ridge, target))[..., 0]
-        moved = q + step
+        weight = np.where(locked.any(axis=-1)[:, None], _POSITION_FIRST, 1.0)[..., None]
+        free = np.where(locked[:, None, :], 0.0, j) * weight
+        transposed = free.transpose(0, 2, 1)
+        step = transposed @ np.linalg.solve(free @ transposed + ridge, error[..., None] * weight)
+        moved = q + step[..., 0]
         inside = np.minimum(np.maximum(moved, JOINT_LOWER), JOINT_UPPER)
-        blocked = (moved != inside) & (step != 0.0)
+        blocked = (moved != inside) & ~locked
         if not blocked.any():
             break
-        j = np.where(blocked[:, None, :], 0.0, j)
+        locked |= blocked
     return inside
 
 
