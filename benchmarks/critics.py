@@ -18,18 +18,20 @@ from torchrl.envs.utils import step_mdp
 
 from torchgrasp import keys
 from torchgrasp.config import evaluation_config, make_policy, make_pool, make_split_env, prepare_objects
+from torchgrasp.data import split_tries
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.value_quality import ValueTable, area_under_curve
 from torchgrasp.geometry import ACTION_BOUND
-from torchgrasp.modules import ExploringStep, GivenFeature, GraspCritic, split_network
+from torchgrasp.modules import ExploringStep, GivenFeature, GraspCritic, NearbyActions, split_network
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 from torchgrasp.rollouts.episode_pool import copy_for_rollouts
 
 _FEATURE = (keys.FEATURES, "actor")
+_TRIED = (keys.TRIED_ACTION, ("next", keys.TRIED_REWARD))
 _BATCH = 256
 # A step ahead that no episode of ours has: with it the target is the return.
 _ALL = 1000
-_WAY = re.compile(r"(?:return|([1-9]\d*)-step)(, layer)?(?:, ([1-9]\d*) values)?")
+_WAY = re.compile(r"(return|tries|([1-9]\d*)-step)(, layer)?(?:, ([1-9]\d*) values)?")
 
 
 def benchmark_critics(cfg: DictConfig) -> list[dict]:
@@ -40,13 +42,15 @@ def benchmark_critics(cfg: DictConfig) -> list[dict]:
     encoder, rest = split_network(make_policy(evaluated, str(options.policy)), _FEATURE)
     policy: list = [encoder, rest]
     acting = TensorDictSequential(*policy)
-    learned, held = _collect(evaluated, acting, options)
+    trying = any(steps is None for steps, _, _ in ways.values())
+    learned, held, tries = _collect(evaluated, acting, options, trying=trying)
     tried = _try_actions(evaluated, acting, options)
     rows = []
     for name, (steps, norm, num_q) in ways.items():
         torch.manual_seed(cfg.seed)
         started = time.perf_counter()
-        critic = _learn(rest, learned, options, steps=steps, norm=norm, num_q=num_q)
+        read = tries if steps is None else _look_ahead(learned, steps, options.gamma)
+        critic = _learn(rest, read, options, norm=norm, num_q=num_q)
         row = {"way": name, "seconds": time.perf_counter() - started, "episodes": len(learned)}
         row |= {"quality": _score(critic, held, options.gamma), **_rank(critic, tried)}
         rows.append(row)
@@ -54,51 +58,54 @@ def benchmark_critics(cfg: DictConfig) -> list[dict]:
     return rows
 
 
-def _read_way(name: str) -> tuple[int, Any, int]:
-    """`<n>-step|return[, layer][, <Q> values]` as (n, norm, Q)."""
+def _read_way(name: str) -> tuple[int | None, Any, int]:
+    """`<n>-step|return|tries[, layer][, <Q> values]` as (n, norm, Q); n is None for tries."""
     found = _WAY.fullmatch(name)
     if found is None:
         raise ConfigError(
-            f"critics.ways has {name!r}: give <n>-step or return, then, or not, ', layer' and ', <Q> values'."
+            f"critics.ways has {name!r}: give <n>-step, return or tries, then, or not, ', layer' and "
+            "', <Q> values'."
         )
-    steps, layer, values = found.groups()
-    return int(steps or _ALL), "layer" if layer else "none", int(values or 2)
+    kind, steps, layer, values = found.groups()
+    ahead = None if kind == "tries" else int(steps or _ALL)
+    return ahead, "layer" if layer else "none", int(values or 2)
 
 
 def _collect(
-    cfg: DictConfig, acting: TensorDictModuleBase, options: DictConfig
-) -> tuple[TensorDictBase, ...]:
-    """Episodes (E, T) of features, each with one large change of an action: to learn from, and held out."""
-    explore = ExploringStep(horizon=cfg.env.horizon, first=options.first, reach=options.reach)
-    modules: list = [acting, explore]
-    policy = copy_for_rollouts(TensorDictSequential(*modules))
+    cfg: DictConfig, acting: TensorDictModuleBase, options: DictConfig, *, trying: bool
+) -> tuple[TensorDictBase, TensorDictBase, TensorDictBase | None]:
+    """Episodes (E, T) of features, each with one large change of an action: to learn from, and held out.
+
+    Where `trying`, the transitions (K) of the actions tried at the ends of the former come third.
+    """
+    horizon, reach = cfg.env.horizon, options.reach
+    explore = ExploringStep(horizon=horizon, first=options.first, reach=reach)
+    propose = [NearbyActions(horizon=horizon, num_tries=options.tries, reach=reach)] if trying else []
     read = [_FEATURE, keys.TIME_LEFT, keys.TABLE_PLANE, keys.WRIST_ANGLE, keys.ACTION]
-    found = []
-    with make_pool(cfg, keep=read) as pool:
+    with make_pool(cfg, keep=[*read, keys.TRIED_ACTION, keys.TRIED_REWARD]) as pool:
         prepare_objects(cfg)
-        for split, wanted, worlds in (
-            ("train", options.episodes, cfg.env.num_envs),
-            ("test", options.held_out, cfg.evaluation.num_envs),
-        ):
-            numbers = range(10_000, 10_000 + -(-wanted // worlds))
-            batches = pool.run(split, policy, numbers, explore=True)
-            episodes = [
-                each.steps for batch in batches for each in batch if len(each.steps) == cfg.env.horizon
-            ]
-            found.append(torch.stack([_follow(steps, read) for steps in episodes[:wanted]]))
-            print(
-                f"{split}: {len(found[-1])} episodes, {_outcomes(found[-1]).mean():.1%} successful",
-                flush=True,
-            )
-    return tuple(found)
+
+        def run(split: str, wanted: int, worlds: int, *modules: Any) -> list[TensorDictBase]:
+            policy = copy_for_rollouts(TensorDictSequential(*modules))
+            batches = pool.run(split, policy, range(10_000, 10_000 + -(-wanted // worlds)), explore=True)
+            episodes = [each.steps for batch in batches for each in batch if len(each.steps) == horizon]
+            return [_follow(steps, read) for steps in episodes[:wanted]]
+
+        learned = run("train", options.episodes, cfg.env.num_envs, acting, *propose, explore)
+        held = run("test", options.held_out, cfg.evaluation.num_envs, acting, explore)
+    tries = torch.cat([split_tries(steps).reshape(-1) for steps in learned]) if trying else None
+    learned, held = (torch.stack([steps.exclude(*_TRIED) for steps in each]) for each in (learned, held))
+    for name, episodes in (("train", learned), ("held out", held)):
+        print(f"{name}: {len(episodes)} episodes, {_outcomes(episodes).mean():.1%} successful", flush=True)
+    return learned, held, tries
 
 
 def _follow(steps: TensorDictBase, read: list) -> TensorDictBase:
     """An episode (T) with the next of each observation; of the last step, which ends it, its own."""
     index = torch.arange(1, len(steps) + 1).clamp(max=len(steps) - 1)
     following: Any = steps.select(*read[:-1])[index]
-    ends = {key: steps["next", key] for key in ("reward", "terminated", "done")}
-    return steps.select(*read).set("next", following.update(ends))
+    ends = steps["next"].select("reward", "terminated", "done", keys.TRIED_REWARD, strict=False)
+    return steps.select(*read, keys.TRIED_ACTION, strict=False).set("next", following.update(ends))
 
 
 def _outcomes(episodes: TensorDictBase) -> Tensor:
@@ -133,13 +140,20 @@ def _try_actions(cfg: DictConfig, acting: TensorDictModuleBase, options: DictCon
     return states[: options.states]
 
 
+def _look_ahead(episodes: TensorDictBase, steps: int, gamma: float) -> TensorDictBase:
+    """Transitions (E x T) of episodes (E, T), `steps` steps ahead."""
+    if steps > 1:
+        episodes = MultiStep(gamma, min(steps, episodes.shape[-1]) - 1)(episodes.clone())
+    return episodes.reshape(-1)
+
+
 def _learn(
-    actor: TensorDictModuleBase, episodes: TensorDictBase, options: DictConfig, *, steps: int, **head: Any
+    actor: TensorDictModuleBase, rows: TensorDictBase, options: DictConfig, **head: Any
 ) -> GraspCritic:
-    """A critic on the actor's features after `updates` of Eq. (3), `steps` steps ahead, without goals."""
+    """A critic on the actor's features after `updates` of Eq. (3) on transitions (K), without goals."""
     read = [_FEATURE, keys.TIME_LEFT, keys.ACTION]
     inputs: Any = {keys.WRIST_ANGLE: 1}
-    size = episodes[_FEATURE].shape[-1]
+    size = rows[_FEATURE].shape[-1]
     critic = GraspCritic(
         GivenFeature(size),
         fusion="late",
@@ -154,9 +168,6 @@ def _learn(
     )
     loss.make_value_estimator(gamma=options.gamma)
     targets = StaggeredTargetUpdate(loss, tau=0.01, period=200)
-    if steps > 1:
-        episodes = MultiStep(options.gamma, min(steps, episodes.shape[-1]) - 1)(episodes.clone())
-    rows = episodes.reshape(-1)
     adam = torch.optim.AdamW(critic.parameters(), lr=options.learning_rate)
     for _ in range(options.updates):
         batch = rows[torch.randint(len(rows), (_BATCH,))]

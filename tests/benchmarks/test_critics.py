@@ -20,10 +20,11 @@ OVERRIDES = "critics.overrides=[" + ",".join(f"'{each}'" for each in SMALL) + "]
 
 @pytest.mark.slow
 def test_critics_learn_from_episodes_of_the_shipped_policy(composed, capsys):
-    given = [*FEW, OVERRIDES, "critics.ways=['2-step, layer, 1 values']"]
-    (row,) = critics.benchmark_critics(composed(*given, "collector.num_workers=0"))
+    given = [*FEW, OVERRIDES, "critics.ways=['2-step, layer, 1 values',tries]"]
+    row, tried = critics.benchmark_critics(composed(*given, "collector.num_workers=0"))
     assert row["episodes"] == 2 and row["states"] == 2 and row["quality"]["episodes"] == 2
     assert 0.0 <= row["lifted_by_best"] <= 1.0
+    assert tried["way"] == "tries" and tried["states"] == 2
     assert "critic 2-step, layer, 1 values" in capsys.readouterr().out
 
 
@@ -33,6 +34,7 @@ def test_critics_learn_from_episodes_of_the_shipped_policy(composed, capsys):
         ("1-step", (1, "none", 2)),
         ("5-step, layer", (5, "layer", 2)),
         ("return, 5 values", (critics._ALL, "none", 5)),
+        ("tries, layer, 5 values", (None, "layer", 5)),
         ("12-step, layer, 1 values", (12, "layer", 1)),
     ],
 )
