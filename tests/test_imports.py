@@ -32,8 +32,12 @@ def test_importing_a_part_loads_nothing_unwanted(modules):
 
 
 def test_without_sapien_losses_work_and_the_simulation_says_what_to_install():
-    parts = "import torchgrasp.objectives, torchgrasp.modules, torchgrasp.data"
-    code = f"import sys; sys.modules['sapien'] = None; {parts}; print('loaded'); import torchgrasp.envs"
+    parts = "import torchgrasp.objectives, torchgrasp.data, torchgrasp.envs, torchgrasp.deploy"
+    world = (
+        "from torchgrasp.objects import ProceduralObjects; from torchgrasp.envs import GraspEnv;"
+        "GraspEnv(1, objects=ProceduralObjects('train', num_objects=1, num_grasps=100)).reset()"
+    )
+    code = f"import sys; sys.modules['sapien'] = None; {parts}; print('loaded'); {world}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "loaded"
     assert "MissingPackageError: The simulation needs sapien" in done.stderr.splitlines()[-1]

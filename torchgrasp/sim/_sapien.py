@@ -1,15 +1,38 @@
-"""Imports sapien without its word that there is no Vulkan: nothing here needs one."""
+"""SAPIEN, imported when something of it is first used, so that a policy acts where it is not installed."""
 
+from __future__ import annotations
+
+import importlib
 import warnings
+from typing import TYPE_CHECKING, Any
 
 from torchgrasp.errors import MissingPackageError
 
-with warnings.catch_warnings():
-    warnings.filterwarnings("ignore", message="Failed to find")
-    try:
-        import sapien as sapien
-    except ImportError as error:
-        raise MissingPackageError(
-            f"The simulation needs sapien ({error}): pip install sapien; where there is no wheel, as on "
-            "arm, take one of SAPIEN's releases on GitHub. Losses, networks and buffers do without."
-        ) from error
+if TYPE_CHECKING:
+    import sapien as sapien
+else:
+
+    class _Sapien:
+        """The module's attributes by their names."""
+
+        def __getattr__(self, name: str) -> Any:
+            found = getattr(load_sapien(), name)
+            setattr(self, name, found)
+            return found
+
+    sapien = _Sapien()
+
+
+def load_sapien() -> Any:
+    """The module itself, imported now."""
+    with warnings.catch_warnings():
+        # Its word that there is no Vulkan: nothing here needs one.
+        warnings.filterwarnings("ignore", message="Failed to find")
+        try:
+            return importlib.import_module("sapien")
+        except ImportError as error:
+            raise MissingPackageError(
+                f"The simulation needs sapien ({error}): pip install sapien; where there is no wheel, as on "
+                "arm, take one of SAPIEN's releases on GitHub. Losses, networks, buffers and GraspAgent do "
+                "without."
+            ) from error

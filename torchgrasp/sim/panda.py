@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import sapien
-from sapien import Pose, physx
 
 from torchgrasp.sim import kinematics
+from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.panda_tables import (
     ARM_SHAPES,
     FINGER_INERTIAL,
@@ -45,8 +44,8 @@ class Panda:
     def __init__(
         self, scene: sapien.Scene, *, finger_friction: float = 2.0, finger_force: float = 40.0
     ) -> None:
-        self._body_material = physx.PhysxMaterial(0.3, 0.3, 0.0)
-        self._finger_material = physx.PhysxMaterial(finger_friction, finger_friction, 0.0)
+        self._body_material = sapien.physx.PhysxMaterial(0.3, 0.3, 0.0)
+        self._finger_material = sapien.physx.PhysxMaterial(finger_friction, finger_friction, 0.0)
         builder = scene.create_articulation_builder()
         self._build_links(builder)
         self.articulation = builder.build(fix_root_link=True)
@@ -78,7 +77,7 @@ class Panda:
             )
         hand = builder.create_link_builder(link)
         self._fill(hand, "hand", HAND_INERTIAL, HAND_SHAPES)
-        hand.set_joint_properties("fixed", (0, 0), Pose(kinematics.hand_in_link7()), Pose())
+        hand.set_joint_properties("fixed", (0, 0), sapien.Pose(kinematics.hand_in_link7()), sapien.Pose())
         for side, name in ((1.0, "left_finger"), (-1.0, "right_finger")):
             finger = builder.create_link_builder(hand)
             shapes = FINGER_SHAPES if side > 0 else tuple(mirrored(s) for s in FINGER_SHAPES)
@@ -97,7 +96,7 @@ class Panda:
         is_finger = name.endswith("finger")
         link.collision_groups = [1, 1, IGNORE_BITS["finger" if is_finger else name], _ROBOT_ID]
         moments, axes = _principal_axes(inertial)
-        link.set_mass_and_inertia(inertial.mass, Pose(axes), moments)
+        link.set_mass_and_inertia(inertial.mass, sapien.Pose(axes), moments)
         material = self._finger_material if is_finger else self._body_material
         for shape in shapes:
             _add_shape(link, shape, material, patch_radius=0.1 if is_finger else 0.0)
@@ -125,7 +124,7 @@ class Panda:
             joint.set_drive_target(opening)
 
 
-def _axis_frame(origin: tuple, axis: str) -> Pose:
+def _axis_frame(origin: tuple, axis: str) -> sapien.Pose:
     """A joint frame at `origin` = (xyz, roll) whose x axis, the one SAPIEN moves along, is `axis`."""
     (xyz, roll) = origin
     columns = {
@@ -136,7 +135,7 @@ def _axis_frame(origin: tuple, axis: str) -> Pose:
     frame = np.eye(4)
     frame[:3, :3] = Shape((0,), (0, 0, 0), roll).rotation @ columns[axis]
     frame[:3, 3] = xyz
-    return Pose(frame)
+    return sapien.Pose(frame)
 
 
 def _principal_axes(inertial: Inertial) -> tuple[np.ndarray, np.ndarray]:
@@ -151,14 +150,14 @@ def _principal_axes(inertial: Inertial) -> tuple[np.ndarray, np.ndarray]:
     return moments, frame
 
 
-def _add_shape(link, shape: Shape, material: physx.PhysxMaterial, *, patch_radius: float) -> None:
-    pose = Pose(shape.pose)
+def _add_shape(link, shape: Shape, material: sapien.physx.PhysxMaterial, *, patch_radius: float) -> None:
+    pose = sapien.Pose(shape.pose)
     half = tuple(s / 2 for s in shape.size)
     if len(shape.size) == 3:
         link.add_box_collision(pose, half, material, density=0.0, patch_radius=patch_radius)
         return
     radius, length = shape.size[0], half[1]
-    along_z = Pose(shape.pose @ _X_TO_Z)
+    along_z = sapien.Pose(shape.pose @ _X_TO_Z)
     link.add_capsule_collision(along_z, radius, length, material, density=0.0)
 
 

@@ -6,12 +6,11 @@ import os
 from pathlib import Path
 
 import numpy as np
-import sapien
 from numpy.typing import NDArray
-from sapien import Pose
 
 from torchgrasp.errors import RenderError
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.appearance import Appearance
 from torchgrasp.sim.camera import CameraIntrinsics
 from torchgrasp.sim.probe import REMEDY
@@ -20,7 +19,6 @@ from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 
 # Shaders of SAPIEN: "default" lights and shades; "trivial" gives positions and identities only.
-_SHADERS = Path(sapien.__file__).parent / "vulkan_shader"
 _MAX_TARGETS = 32
 _MAX_TEXTURES = 48
 # Depth to which things are drawn, metres: beyond a camera's range they are seen in colour only.
@@ -69,10 +67,10 @@ class RenderScene:
             appearance: textures and light.
         """
         for entity, pose in zip(self._robot, robot.astype(np.float32), strict=True):
-            entity.set_pose(Pose(pose))
+            entity.set_pose(sapien.Pose(pose))
         self._show(target)
         assert self._shown is not None
-        self._shown.set_pose(Pose(T_base_object.astype(np.float32)))
+        self._shown.set_pose(sapien.Pose(T_base_object.astype(np.float32)))
         if appearance is not self._look:
             self._dress(appearance)
             self._look = appearance
@@ -80,7 +78,7 @@ class RenderScene:
     def picture(self, cam: CameraIntrinsics, T_base_camera: NDArray, *, colour: bool) -> dict[str, NDArray]:
         """Depth, mask and, where `colour`, RGB of what was arranged; shapes as `Camera.observe`'s."""
         camera = self._camera(cam, "default" if colour else "trivial")
-        camera.entity.set_pose(Pose((T_base_camera @ _SAPIEN_AXES).astype(np.float32)))
+        camera.entity.set_pose(sapien.Pose((T_base_camera @ _SAPIEN_AXES).astype(np.float32)))
         self._system.step()  # brings every pose, the camera's too, to the renderer
         camera.take_picture()
         depth = -camera.get_picture("Position")[..., 2]
@@ -97,14 +95,16 @@ class RenderScene:
 
     def _camera(self, cam: CameraIntrinsics, shader: str) -> sapien.render.RenderCameraComponent:
         if (cam, shader) not in self._cameras:
-            camera = sapien.render.RenderCameraComponent(cam.width, cam.height, str(_SHADERS / shader))
+            shaders = Path(sapien.__file__).parent / "vulkan_shader"
+            camera = sapien.render.RenderCameraComponent(cam.width, cam.height, str(shaders / shader))
+            (fx, fy), (cx, cy) = cam.focal.tolist(), cam.centre.tolist()
             camera.set_perspective_parameters(
                 max(cam.near, 1e-3),
                 max(_DRAWN, cam.far),
-                cam.focal,
-                cam.focal,
-                cam.width / 2,
-                cam.height / 2,
+                fx,
+                fy,
+                cx,
+                cy,
                 0,
             )
             entity = sapien.Entity()
@@ -166,9 +166,9 @@ class RenderScene:
     def _add_surroundings(self) -> None:
         """Floor and furniture: seen in colour, never in depth."""
         floor = rectangle_visual(np.array((-25.0, -25.0)), np.array((25.0, 25.0)), repeats=0.5)
-        self._add(floor, self._materials["floor"]).set_pose(Pose([0.0, 0.0, FLOOR]))
+        self._add(floor, self._materials["floor"]).set_pose(sapien.Pose([0.0, 0.0, FLOOR]))
         for part in furniture():
-            self._add(part.visual, _material(part)).set_pose(Pose(list(part.position)))
+            self._add(part.visual, _material(part)).set_pose(sapien.Pose(list(part.position)))
 
     def _add_light(self, *, shadow: bool) -> sapien.render.RenderDirectionalLightComponent:
         light = sapien.render.RenderDirectionalLightComponent()
@@ -225,11 +225,11 @@ def _entity(visual: Visual, material: sapien.render.RenderMaterial) -> sapien.En
     return entity
 
 
-def _looking_along(direction: NDArray, place: NDArray) -> Pose:
+def _looking_along(direction: NDArray, place: NDArray) -> sapien.Pose:
     """A pose whose x axis is the (3,) unit `direction`."""
     side = np.cross((0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (0.0, 1.0, 0.0), direction)
     side /= np.linalg.norm(side)
     frame = np.eye(4)
     frame[:3, :3] = np.stack((direction, side, np.cross(direction, side)), axis=-1)
     frame[:3, 3] = place
-    return Pose(frame)
+    return sapien.Pose(frame)

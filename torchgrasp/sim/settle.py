@@ -6,8 +6,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import sapien
-from sapien import physx
 
 from torchgrasp.errors import ObjectError
 from torchgrasp.names import file_stem, to_path
@@ -15,6 +13,7 @@ from torchgrasp.objects.cache import cache_key, cached, default_cache_dir, write
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.parallel import run_each
 from torchgrasp.objects.sets import ObjectSet
+from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import build_table
 from torchgrasp.sim.world import build_target
@@ -123,10 +122,10 @@ def _save(path: Path, poses: np.ndarray) -> None:
 
 def _drop(target: GraspObject, candidate: np.ndarray, physics: Physics) -> np.ndarray | None:
     """(4, 4) pose in which the object stays for a second, None where it never does."""
-    system = physx.PhysxCpuSystem()
+    system = sapien.physx.PhysxCpuSystem()
     system.timestep = 1.0 / _SETTLE_RATE
     scene = sapien.Scene([system])
-    material = physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
+    material = sapien.physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
     build_table(scene, material)
     pose = candidate.copy()
     pose[:3, 3] += _PLACE

@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-import sapien
-from sapien import Pose, physx
 
+from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, Array, jacobian, link_poses, pose_error
 from torchgrasp.sim.panda import Panda
 
@@ -75,7 +74,7 @@ def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Arr
     ridge = damping**2 * _IDENTITY
     locked = np.zeros(q.shape, dtype=bool)
     for _ in range(3):
-        weight = np.where(locked.any(axis=-1)[:, None], _POSITION_FIRST, 1.0)[..., None]
+        weight = np.where(locked.any(axis=-1, keepdims=True), _POSITION_FIRST, 1.0)[..., None]
         free = np.where(locked[:, None, :], 0.0, j) * weight
         transposed = free.transpose(0, 2, 1)
         step = transposed @ np.linalg.solve(free @ transposed + ridge, error[..., None] * weight)
@@ -91,7 +90,7 @@ def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Arr
 @functools.cache
 def _model() -> tuple[object, object, int]:
     """Pinocchio's model of the arm, the scene that it came from, and the hand's index in it."""
-    scene = sapien.Scene([physx.PhysxCpuSystem()])
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
     panda = Panda(scene)
     names = [link.name for link in panda.links]
     model = panda.articulation.create_pinocchio_model()  # pyright: ignore[reportCallIssue]
@@ -105,7 +104,7 @@ def _newton(
     model, _, hand = _model()
     found, success, error = model.compute_inverse_kinematics(  # pyright: ignore[reportAttributeAccessIssue]
         hand,
-        Pose(T_base_ee),
+        sapien.Pose(T_base_ee),
         initial_qpos=np.concatenate((q, (0.0, 0.0))),
         active_qmask=_ARM,
         eps=tolerance,

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import sapien
-from sapien import Pose, physx
 
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import kinematics
+from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.panda import FINGER_CLOSED, Panda
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import build_table
@@ -56,9 +55,9 @@ class World:
     def __init__(self, placement: Placement) -> None:
         physics = placement.physics
         self.placement = placement
-        self._system = physx.PhysxCpuSystem()
+        self._system = sapien.physx.PhysxCpuSystem()
         self._scene = sapien.Scene([self._system])
-        material = physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
+        material = sapien.physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
         build_table(self._scene, material)
         self._panda = Panda(
             self._scene, finger_friction=physics.finger_friction, finger_force=physics.finger_force
@@ -94,7 +93,7 @@ class World:
         if self._target.kinematic:
             self._carried = (self.T_base_object, T_base_object)
             return
-        self._target.entity_pose = Pose(T_base_object)
+        self._target.entity_pose = sapien.Pose(T_base_object)
         self._target.set_linear_velocity([0.0, 0.0, 0.0])
         self._target.set_angular_velocity([0.0, 0.0, 0.0])
         self._target.wake_up()
@@ -175,7 +174,7 @@ class World:
         before, after = self._carried
         pose = after.copy()
         pose[:3, 3] = (1.0 - share) * before[:3, 3] + share * after[:3, 3]
-        self._target.set_kinematic_target(Pose(pose))
+        self._target.set_kinematic_target(sapien.Pose(pose))
 
     def _step(self, seconds: float, rate: int) -> None:
         self._system.timestep = 1.0 / rate
@@ -188,12 +187,12 @@ def build_target(
     target: GraspObject,
     T_base_object: np.ndarray,
     physics: Physics,
-    material: physx.PhysxMaterial,
-) -> physx.PhysxRigidDynamicComponent:
+    material: sapien.physx.PhysxMaterial,
+) -> sapien.physx.PhysxRigidDynamicComponent:
     """Add an object to a scene: convex parts, the mass that all objects share, damping."""
-    body = physx.PhysxRigidDynamicComponent()
+    body = sapien.physx.PhysxRigidDynamicComponent()
     for part in target.parts:
-        shape = physx.PhysxCollisionShapeConvexMesh(vertices=part, scale=[1, 1, 1], material=material)
+        shape = sapien.physx.PhysxCollisionShapeConvexMesh(vertices=part, scale=[1, 1, 1], material=material)
         shape.density = 1000.0
         shape.patch_radius = 0.1
         body.attach(shape)
@@ -207,6 +206,6 @@ def build_target(
     entity = sapien.Entity()
     entity.name = target.name
     entity.add_component(body)
-    entity.pose = Pose(T_base_object)
+    entity.pose = sapien.Pose(T_base_object)
     scene.add_entity(entity)
     return body
