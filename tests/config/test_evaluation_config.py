@@ -63,7 +63,7 @@ def test_a_camera_of_ones_own_sees_for_a_trained_policy_and_the_transforms_follo
     cfg = evaluation_config(on_command_line(policy, *own, recipe="evaluate"))
     seen = cfg.camera.intrinsics
     assert (seen.width, seen.height, seen.fov) == (212, 120, 0.742) and cfg.model.width == 0.5
-    assert cfg.transforms.points.fov == cfg.transforms.aggregate.fov == 0.742
+    assert cfg.transforms.points.intrinsics == cfg.transforms.aggregate.intrinsics == seen
     assert cfg.transforms.sample.num_points == 48
     chosen = evaluation_config(on_command_line(policy, "camera=render", *own, recipe="evaluate")).camera
     assert chosen._target_ == "torchgrasp.sim.RenderCamera" and chosen.intrinsics.fov == 0.742
@@ -72,9 +72,10 @@ def test_a_camera_of_ones_own_sees_for_a_trained_policy_and_the_transforms_follo
 def test_single_values_of_the_transforms_hold_where_the_policy_has_them(on_command_line, untrained):
     policy = f"policy={untrained(*BROUGHT)}"
     cfg = evaluation_config(on_command_line(policy, "transforms.aggregate.alpha=0.5", recipe="evaluate"))
-    assert cfg.transforms.aggregate.alpha == 0.5 and cfg.transforms.points.fov == cfg.camera.intrinsics.fov
-    fov = "transforms.points.fov=0.3"
-    assert evaluation_config(on_command_line(policy, fov, recipe="evaluate")).transforms.points.fov == 0.3
+    assert cfg.transforms.aggregate.alpha == 0.5
+    assert cfg.transforms.points.intrinsics == cfg.camera.intrinsics
+    cfg = evaluation_config(on_command_line(policy, "transforms.aggregate.carve=null", recipe="evaluate"))
+    assert cfg.transforms.aggregate.carve is None
     single = f"policy={untrained(*BROUGHT, 'transforms=single_view', name='single')}"
     told = r"transforms\.aggregate\.alpha=0\.5 finds nothing to change: policy=.* brings points, "
     with pytest.raises(ConfigError, match=told):
@@ -83,14 +84,14 @@ def test_single_values_of_the_transforms_hold_where_the_policy_has_them(on_comma
 
 def test_a_policy_of_the_overhead_camera_follows_that_one(on_command_line, untrained):
     views = ["overhead=raycast", "+transforms.points.camera=overhead", "transforms.aggregate.carve=null"]
-    views += ["transforms.points.fov=${overhead.intrinsics.fov}"]
+    views += ["transforms.points.intrinsics=${overhead.intrinsics}"]
     policy = f"policy={untrained(*BROUGHT, *views)}"
     cfg = evaluation_config(on_command_line(policy, "camera.intrinsics.fov=0.7", recipe="evaluate"))
-    assert cfg.overhead.intrinsics.fov == cfg.transforms.points.fov == 1.0
-    assert cfg.transforms.aggregate.fov == 0.7
+    assert cfg.overhead.intrinsics == cfg.transforms.points.intrinsics
+    assert cfg.overhead.intrinsics.fov == 1.0 and cfg.transforms.aggregate.intrinsics.fov == 0.7
     given = (policy, "overhead.intrinsics.fov=0.9", "overhead=raycast", "+transforms.table.seed=3")
     cfg = evaluation_config(on_command_line(*given, recipe="evaluate"))
-    assert cfg.transforms.points.fov == 0.9 and cfg.transforms.table.seed == 3
+    assert cfg.transforms.points.intrinsics.fov == 0.9 and cfg.transforms.table.seed == 3
 
 
 @pytest.mark.parametrize(

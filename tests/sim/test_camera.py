@@ -244,13 +244,19 @@ def test_an_object_that_reaches_behind_the_near_plane_is_seen_from_inside(brick)
     assert mask[12, 12] and depth[12, 12] == pytest.approx(0.14, abs=1e-5)
 
 
-def test_the_window_misses_no_pixel(brick):
+@pytest.mark.parametrize(
+    "intrinsics",
+    [
+        CameraIntrinsics(31, 23, fov=1.1),
+        CameraIntrinsics(31, 23, fx=25.0, fy=18.0, cx=4.0, cy=19.0),
+    ],
+)
+def test_the_window_misses_no_pixel(brick, intrinsics):
     # The same picture, once with the object's outline cut out, once with all rays cast.
     class Everywhere(RaycastCamera):
         def _window(self, surface, T_object_camera):
             return slice(None), slice(None)
 
-    intrinsics = CameraIntrinsics(31, 23, fov=1.1)
     hand = pose_at(0.5, 0.0, 0.5, down=True)
     rng = np.random.default_rng(0)
     seen = 0
@@ -263,6 +269,20 @@ def test_the_window_misses_no_pixel(brick):
         assert np.array_equal(cut[0], full[0]) and np.array_equal(cut[1], full[1])
         seen += cut[1].any()
     assert seen > 10
+
+
+@pytest.mark.parametrize("place", [{}, {"T_base_camera": look_at((1.2, 0.3, 0.6), (0.4, 0.0, 0.2))}])
+def test_an_off_centre_picture_is_cut_out_of_a_larger_one(brick, place):
+    """The same focal length, the axis elsewhere: arm, table and target are where the large one has them."""
+    large = CameraIntrinsics(64, 48, fx=30.0, cx=31.5, cy=23.5)
+    left, top = 9, 13
+    cut = CameraIntrinsics(40, 30, fx=30.0, cx=31.5 - left, cy=23.5 - top)
+    hand = pose_at(0.5, 0.0, 0.5, down=True)
+    whole, mask = look(RaycastCamera(large, **place), brick, hand, hand @ pose_at(0, 0, 0.3), OPEN)
+    part, part_mask = look(RaycastCamera(cut, **place), brick, hand, hand @ pose_at(0, 0, 0.3), OPEN)
+    there = (slice(top, top + 30), slice(left, left + 40))
+    assert np.allclose(part, whole[there], atol=1e-5) and np.array_equal(part_mask, mask[there])
+    assert part_mask.any()
 
 
 def test_two_objects_of_one_name_are_told_apart(brick, can):

@@ -7,6 +7,7 @@ from typing import Any
 from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig, OmegaConf
 
+from torchgrasp.config.lenses import follow_cameras
 from torchgrasp.config.overrides import given_overrides, is_plain, merge, words
 from torchgrasp.errors import ConfigError
 
@@ -21,7 +22,7 @@ def join_brought(cfg: DictConfig, brought: dict[str, Any], whose: str) -> DictCo
     """The configuration with the parts and the task that weights bring along, then what was given.
 
     Networks are as they were trained. Another camera may be chosen, and single values of cameras and
-    transforms be changed; the transforms follow a camera's field of view.
+    transforms be changed; the transforms follow a camera's intrinsics.
 
     Args:
         cfg: as composed.
@@ -36,7 +37,7 @@ def join_brought(cfg: DictConfig, brought: dict[str, Any], whose: str) -> DictCo
         )
     chosen = {each.key_or_group for each in given} & set(_CAMERAS)
     kept = {name: cfg[name] if name in chosen else brought.get(name) for name in _BROUGHT}
-    kept["transforms"] = _follow_cameras(brought)
+    kept["transforms"] = follow_cameras(brought)["transforms"]
     task = {name: brought["env"][name] for name in _TASK if name in brought["env"]}
     plain = {name: value for name, value in cfg.items() if name not in kept}
     seen = {"num_points": brought.get("num_points", cfg.num_points)}
@@ -53,17 +54,6 @@ def _is_fixed(given: Override) -> bool:
         # A whole transform, or an argument of one: `+transforms.points.camera=overhead`.
         return given.is_delete() or not inner or (not is_plain(given) and "." not in inner)
     return part in _FIXED or (part in _CAMERAS and given.is_delete())
-
-
-def _follow_cameras(brought: dict[str, Any]) -> dict[str, Any]:
-    """The transforms; a field of view that one has from a camera refers to that again."""
-    followed = {}
-    for name, transform in (brought.get("transforms") or {}).items():
-        camera = "overhead" if transform.get("camera") == "overhead" else "camera"
-        theirs = (brought.get(camera) or {}).get("intrinsics") or {}
-        follows = "fov" in transform and transform["fov"] == theirs.get("fov")
-        followed[name] = {**transform, "fov": f"${{{camera}.intrinsics.fov}}"} if follows else transform
-    return followed
 
 
 def _give(joined: DictConfig, given: Override, whose: str) -> None:

@@ -67,6 +67,7 @@ _KINDS: dict[str, PartKind] = {
         for pose in ("T_base_camera", "T_ee_camera")
     },
     "transforms.*": PartKind(Transform),
+    "transforms.*.intrinsics": PartKind(CameraIntrinsics, optional=True),
     "expert": _MODULE,
     "expert.planner": PartKind(Planner, optional=True),
     "expert.planner.choice": PartKind(GoalChoice),

@@ -8,6 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from torchgrasp.config.exploration import DISTURBANCE
+from torchgrasp.config.lenses import name_lenses
 from torchgrasp.config.weights_files import read_trained, weights_file
 from torchgrasp.data.files import describe_file
 from torchgrasp.errors import ConfigError
@@ -53,7 +54,7 @@ def check_usable(ours: dict, path: Path, card: dict) -> None:
     compared: rows are, when the buffer is made.
     """
     told = [name for name in _SHARED if name in card["provenance"]]
-    _refuse_differing(ours, path, card, told, _unseeded)
+    _refuse_differing(ours, path, {**card, "provenance": name_lenses(card["provenance"])}, told, _unseeded)
 
 
 def _refuse_differing(ours: dict, path: Path, card: dict, names: list[str], plain: Any) -> None:

@@ -12,13 +12,14 @@ from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from torchgrasp.config.environments import make_transforms
+from torchgrasp.config.lenses import describe_lens, follow_cameras
 from torchgrasp.config.networks import rebuild_acting
 from torchgrasp.config.parts import build
 from torchgrasp.config.weights_files import check_weights, read_trained
 from torchgrasp.envs import GraspEnv, Start, TargetMotion
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.objects import GraspObject, ProceduralObjects
-from torchgrasp.sim import Physics
+from torchgrasp.sim import Camera, Physics
 
 
 class TrainedPolicy(TensorDictSequential):
@@ -80,6 +81,7 @@ def make_env(
     objects: Sequence[GraspObject] | None = None,
     num_envs: int = 1,
     seed: int | None = None,
+    camera: Camera | None = None,
     start: Start | None = None,
     physics: Physics | None = None,
     target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",
@@ -92,6 +94,7 @@ def make_env(
         objects: what is grasped; by default 80 procedural objects that the pretrained policy never saw.
         num_envs: N; the batch size is [N].
         seed: of all randomness of the scenes; drawn if None.
+        camera: on the wrist, in place of that of training; the transforms follow its intrinsics.
         start: where episodes begin; facing the target (Sec. 6.2) by default.
         physics: masses, friction, forces and rates.
         target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (6.7), ``mixed``, or a motion itself.
@@ -108,11 +111,15 @@ def make_env(
         torch.Size([2])
     """
     config = (policy if isinstance(policy, TrainedPolicy) else load_policy(policy)).config
-    cfg: Any = OmegaConf.create({name: config.get(name) for name in ("camera", "overhead", "transforms")})
+    brought = follow_cameras(config)
+    seen = {name: brought.get(name) for name in ("camera", "overhead", "transforms")}
+    if camera is not None:
+        seen["camera"] = {"intrinsics": describe_lens(camera.intrinsics)}
+    cfg: Any = OmegaConf.create(seen)
     env = GraspEnv(
         num_envs,
         objects=ProceduralObjects("test", num_objects=80) if objects is None else objects,
-        camera=build(cfg.camera),
+        camera=build(cfg.camera) if camera is None else camera,
         overhead=build(cfg.overhead),
         horizon=config["env"]["horizon"],
         start=start,

@@ -9,6 +9,7 @@ from typing import Any
 
 from torch import Tensor
 
+from torchgrasp.config.lenses import name_lenses
 from torchgrasp.config.part_kinds import check_parts, check_strangers_parts
 from torchgrasp.config.schema import Brought
 from torchgrasp.config.value_checks import check_section
@@ -88,4 +89,4 @@ def read_trained(path: Path, trust: Iterable[str] = ()) -> TrainedWeights:
         check_parts(config)
     except ConfigError as error:
         raise CheckpointError(f"{file} has a configuration of no recipe: {error}") from error
-    return TrainedWeights(path, states, config)
+    return TrainedWeights(path, states, name_lenses(config))

@@ -70,8 +70,7 @@ def _dots(
     """Squares of colour at points (N, 3) of the camera frame, in their order."""
     front = seen[:, 2] > intrinsics.near
     seen, colours = seen[front], colours[front]
-    centre = (intrinsics.width / 2, intrinsics.height / 2)
-    pixels = np.floor(seen[:, :2] / seen[:, 2:] * intrinsics.focal + centre).astype(np.int64)
+    pixels = np.floor(seen[:, :2] / seen[:, 2:] * intrinsics.focal + intrinsics.centre).astype(np.int64)
     for dv in range(-radius + 1, radius):
         for du in range(-radius + 1, radius):
             u, v = pixels[:, 0] + du, pixels[:, 1] + dv

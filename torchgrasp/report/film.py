@@ -64,7 +64,7 @@ class EpisodeFilm:
         objects: the set that OBJECT_ID counts in.
         size: of each of the pictures, pixels; a multiple of 16, as video formats want.
         rendered: whether the scene is in colour; None where the renderer works.
-        fov: the wrist camera's vertical field of view, radians.
+        intrinsics: of the wrist camera; looking at the middle of its picture, 90 degrees high, by default.
     """
 
     def __init__(
@@ -73,13 +73,13 @@ class EpisodeFilm:
         *,
         size: int = 336,
         rendered: bool | None = None,
-        fov: float = np.pi / 2,
+        intrinsics: CameraIntrinsics | None = None,
     ) -> None:
         check_range("size", size, 64, 2048)
         if size % 16:
             raise ConfigError(f"size={size} is no multiple of 16: give {size // 16 * 16 or 16}.")
         self._objects = objects
-        self._size, self._fov = size, fov
+        self._size, self._intrinsics = size, intrinsics
         self._lens = CameraIntrinsics(size, size, fov=0.9, near=0.05, far=5.0)
         use = probe_renderer().ok if rendered is None else rendered
         make = RenderCamera if use else RaycastCamera
@@ -121,7 +121,8 @@ class EpisodeFilm:
         if (rgb := state.get(keys.RGB, None)) is not None:
             return rgb.cpu().numpy()
         depth, mask = state.get(keys.DEPTH).cpu().numpy(), state.get(keys.MASK).cpu().numpy()
-        return shade_depth(depth, mask, CameraIntrinsics(depth.shape[1], depth.shape[0], fov=self._fov))
+        intrinsics = self._intrinsics or CameraIntrinsics(depth.shape[1], depth.shape[0])
+        return shade_depth(depth, mask, intrinsics)
 
 
 def _array(state: TensorDictBase, key: str) -> np.ndarray:

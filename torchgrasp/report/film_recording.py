@@ -32,8 +32,8 @@ def record_films(
     """
     base = env.base_env
     assert isinstance(base, GraspEnv)
-    fov = base.cameras["camera"].intrinsics.fov
-    recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, fov=fov)
+    seen_by = base.cameras["camera"].intrinsics
+    recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, intrinsics=seen_by)
     paths: list[Path] = []
     with (
         Progress(num_episodes, description="videos", unit="video") as progress,

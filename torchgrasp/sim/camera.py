@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from torchgrasp.errors import ConfigError, check_range, check_whole
+from torchgrasp.errors import ConfigError
+from torchgrasp.intrinsics import CameraIntrinsics
 from torchgrasp.objects.model import GraspObject
 
 # Released code: the camera sits at (0.036, 0, 0.036) of the hand and looks along the hand's z.
@@ -18,8 +18,6 @@ from torchgrasp.objects.model import GraspObject
 T_EE_CAMERA = np.array(
     [[0.0, -1.0, 0.0, 0.036], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.036], [0.0, 0.0, 0.0, 1.0]]
 )
-
-_MAX_SIDE = 8192  # pixels: a picture beyond that does not fit in memory, and no sensor makes one
 
 
 @dataclass(frozen=True)
@@ -39,45 +37,6 @@ class View:
     joints: np.ndarray
     T_base_ee: np.ndarray
     appearance: int = 0
-
-
-@dataclass(frozen=True)
-class CameraIntrinsics:
-    """A pinhole camera in OpenCV axes.
-
-    Attributes:
-        width, height: pixels.
-        fov: vertical field of view, radians.
-        near, far: depths along z in metres between which something is seen.
-    """
-
-    width: int = 112
-    height: int = 112
-    fov: float = np.pi / 2
-    near: float = 0.035
-    far: float = 2.0
-
-    def __post_init__(self) -> None:
-        check_whole("width", self.width, 1, _MAX_SIDE)
-        check_whole("height", self.height, 1, _MAX_SIDE)
-        check_range("fov", self.fov, 0.0, np.pi * 0.95, open_low=True)
-        check_range("near", self.near, 0.0, np.inf)
-        check_range("far", self.far, self.near, np.inf, open_low=True)
-
-    @property
-    def focal(self) -> float:
-        """Focal length in pixels."""
-        return self.height / 2 / np.tan(self.fov / 2)
-
-    @functools.cached_property
-    def rays(self) -> np.ndarray:
-        """(height * width, 3) float32 directions through the pixels' centres, camera frame, z = 1."""
-        u = (np.arange(self.width) + 0.5 - self.width / 2) / self.focal
-        v = (np.arange(self.height) + 0.5 - self.height / 2) / self.focal
-        grid = np.stack(np.meshgrid(u, v), axis=-1)
-        return (
-            np.concatenate((grid, np.ones((*grid.shape[:2], 1))), axis=-1).reshape(-1, 3).astype(np.float32)
-        )
 
 
 def look_at(

@@ -44,8 +44,8 @@ class RaycastCamera(Camera):
         self._rays = cam.rays.reshape(cam.height, cam.width, 3)
         self._hand_depths: dict[tuple[float, ...], np.ndarray] = {}
         # (4, 3) the picture's side planes: a ball that lies beyond one of them is out of sight.
-        x, y = cam.width / 2 / cam.focal, cam.height / 2 / cam.focal
-        planes = np.array([(1.0, 0.0, -x), (-1.0, 0.0, -x), (0.0, 1.0, -y), (0.0, -1.0, -y)])
+        (left, top), (right, bottom) = cam.centre / cam.focal, (cam.size - cam.centre) / cam.focal
+        planes = np.array([(1.0, 0.0, -right), (-1.0, 0.0, -left), (0.0, 1.0, -bottom), (0.0, -1.0, -top)])
         self._sides = planes / np.linalg.norm(planes, axis=-1, keepdims=True)
         ends = np.array([0, -1])
         self._corner_rays = self._rays[np.ix_(ends, ends)].reshape(4, 3).T.astype(np.float64)

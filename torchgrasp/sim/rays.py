@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from torchgrasp.sim.camera import CameraIntrinsics
+from torchgrasp.intrinsics import CameraIntrinsics
 
 Window = tuple[slice, slice]
 _CORNERS = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -32,16 +32,15 @@ def picture_window(points: NDArray, cam: CameraIntrinsics) -> Window | None:
         if not ahead.any():
             return None
         points = np.concatenate((points[ahead], _cut(points[ahead], points[~ahead], near)))
-    pixels = points[:, :2].T * (cam.focal / points[:, 2])
-    (u0, v0), (u1, v1) = pixels.min(axis=1).tolist(), pixels.max(axis=1).tolist()
+    pixels = points[:, :2] / points[:, 2:] * cam.focal + cam.centre
+    (u0, v0), (u1, v1) = pixels.min(axis=0).tolist(), pixels.max(axis=0).tolist()
     columns, rows = _covered(u0, u1, cam.width), _covered(v0, v1, cam.height)
     return (rows, columns) if rows.start < rows.stop and columns.start < columns.stop else None
 
 
 def _covered(low: float, high: float, count: int) -> slice:
-    """Of `count` pixels about 0 those between low and high, a thousandth more for the rays' rounding."""
-    first = math.floor(max(low + count / 2 - 1e-3, 0.0))
-    return slice(first, math.ceil(min(high + count / 2 + 1e-3, count)))
+    """Of `count` pixels those between low and high, a thousandth more for the rays' rounding."""
+    return slice(math.floor(max(low - 1e-3, 0.0)), math.ceil(min(high + 1e-3, count)))
 
 
 def _cut(ahead: NDArray, behind: NDArray, near: float) -> NDArray:

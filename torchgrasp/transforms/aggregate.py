@@ -12,7 +12,16 @@ from torchrl.data import Composite
 
 from torchgrasp import keys
 from torchgrasp.errors import ConfigError, check_range
-from torchgrasp.transforms.base import CameraName, camera_keys, check_is_cloud, read_rows, write_clouds
+from torchgrasp.intrinsics import CameraIntrinsics
+from torchgrasp.transforms.base import (
+    CameraName,
+    camera_keys,
+    check_is_cloud,
+    check_lens,
+    choose_intrinsics,
+    read_rows,
+    write_clouds,
+)
 from torchgrasp.transforms.history import HistoryTransform
 
 # Powers of alpha carry errors that must not add a point: 0.9**2 * 100 is 81.00000000000001 in floats.
@@ -67,7 +76,8 @@ class AggregatePoints(HistoryTransform[_Union]):
         alpha: share that the draw shrinks by at every step; 1 keeps every point.
         max_points: of the union; beyond it a uniform draw of the union is kept.
         carve: metres that a point must lie in front of what is seen behind it to go; None keeps all.
-        fov: the camera's vertical field of view, radians, for `carve`.
+        fov: the camera's vertical field of view, radians, for `carve`; 90 degrees by default.
+        intrinsics: of the camera instead, as for `DepthToPoints`.
         camera: whose picture, for `carve`: the wrist's or the static one's.
         seed: of the draws.
     """
@@ -78,12 +88,13 @@ class AggregatePoints(HistoryTransform[_Union]):
         *,
         max_points: int = 16384,
         carve: float | None = None,
-        fov: float = math.pi / 2,
+        fov: float | None = None,
+        intrinsics: CameraIntrinsics | None = None,
         camera: CameraName = "wrist",
         seed: int = 0,
     ) -> None:
         check_range("alpha", alpha, 0.0, 1.0, open_low=True)
-        check_range("fov", fov, 0.0, math.pi * 0.95, open_low=True)
+        check_lens(intrinsics, fov)
         if carve is not None:
             check_range("carve", carve, 0.0, math.inf)
         if max_points < 1:
@@ -98,7 +109,7 @@ class AggregatePoints(HistoryTransform[_Union]):
         self.alpha = alpha
         self.max_points = max_points
         self.carve = carve
-        self.fov = fov
+        self.fov, self.intrinsics = fov, intrinsics
 
     def _begin(self) -> _Union:
         return _Union()
@@ -127,11 +138,12 @@ class AggregatePoints(HistoryTransform[_Union]):
     ) -> np.ndarray:
         """(M,) which homogeneous points (M, 4) of the base lie in front of all that their pixels show."""
         height, width = depth.shape
-        focal = height / 2 / math.tan(self.fov / 2)
+        lens = choose_intrinsics(self.intrinsics, self.fov, height, width)
         x, y, z = ((points[:, :3] - T_base_camera[:3, 3]) @ T_base_camera[:3, :3]).T
         ahead = np.maximum(z, 1e-6)
-        u = np.floor(focal * x / ahead + width / 2)
-        v = np.floor(focal * y / ahead + height / 2)
+        (fx, fy), (cx, cy) = lens.focal.tolist(), lens.centre.tolist()
+        u = np.floor(fx * x / ahead + cx)
+        v = np.floor(fy * y / ahead + cy)
         inside = (z > 1e-6) & (u >= 0) & (u < width) & (v >= 0) & (v < height)
         nearest = minimum_filter(np.where(depth > 0, depth, np.inf), size=3)
         behind = nearest[np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)]

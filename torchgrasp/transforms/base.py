@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 import torch
@@ -14,7 +15,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
 from torchgrasp import keys
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import ConfigError, check_range
+from torchgrasp.intrinsics import CameraIntrinsics
 from torchgrasp.randomness import MomentGenerators
 
 
@@ -30,7 +32,12 @@ class PointTransform(Transform):
         out_keys: what is written.
         seed: of the transform's own randomness.
         per_episode: whether a draw holds for a whole episode rather than for one step.
+
+    Attributes:
+        simulates_sensor: whether it stands for an error that a real sensor has by itself.
     """
+
+    simulates_sensor: ClassVar[bool] = False
 
     def __init__(self, *, in_keys: list, out_keys: list, seed: int = 0, per_episode: bool = False) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
@@ -77,6 +84,32 @@ def camera_keys(name: CameraName) -> keys.CameraKeys:
     if name not in ("wrist", "overhead"):
         raise ConfigError(f"camera={name!r} of a transform is unknown: give wrist or overhead.")
     return keys.WRIST if name == "wrist" else keys.OVERHEAD
+
+
+def choose_intrinsics(
+    intrinsics: CameraIntrinsics | None, fov: float | None, height: int, width: int
+) -> CameraIntrinsics:
+    """The camera of a picture of that size: as given, or by its vertical field of view (radians; 90 degrees).
+
+    Raises:
+        ConfigError: where the picture is of another size than the camera's.
+    """
+    if intrinsics is None:
+        return CameraIntrinsics(width, height, fov=math.pi / 2 if fov is None else fov)
+    if (intrinsics.height, intrinsics.width) != (height, width):
+        raise ConfigError(
+            f"A picture of {width} x {height} pixels does not belong to intrinsics of {intrinsics.width} x "
+            f"{intrinsics.height}: give those of the pictures, since the focal length counts in their pixels."
+        )
+    return intrinsics
+
+
+def check_lens(intrinsics: CameraIntrinsics | None, fov: float | None) -> None:
+    """Raise ConfigError where both are given, or a field of view that no pinhole camera has."""
+    if fov is not None:
+        check_range("fov", fov, 0.0, math.pi * 0.95, open_low=True)
+        if intrinsics is not None:
+            raise ConfigError(f"fov={fov} and intrinsics are both given: give one of them.")
 
 
 # Clouds are of another size in every world, so that their rows are handled one by one: there numpy takes

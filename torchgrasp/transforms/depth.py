@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 from torchgrasp import keys
-from torchgrasp.errors import check_range
+from torchgrasp.intrinsics import CameraIntrinsics
 from torchgrasp.transforms.base import (
     CameraName,
     PointTransform,
     camera_keys,
+    check_lens,
+    choose_intrinsics,
     pad_clouds,
     read_rows,
     write_clouds,
@@ -28,7 +28,9 @@ class DepthToPoints(PointTransform):
     NUM_POINTS rows hold points, the others zeros.
 
     Args:
-        fov: the camera's vertical field of view, radians.
+        fov: the camera's vertical field of view, radians; 90 degrees by default.
+        intrinsics: of the camera instead, where its pictures have a size, focal lengths and a centre of
+            their own.
         camera: whose picture: the wrist's, or the static one's with its pose T_BASE_OVERHEAD.
 
     Example:
@@ -39,21 +41,28 @@ class DepthToPoints(PointTransform):
         8
     """
 
-    def __init__(self, *, fov: float = math.pi / 2, camera: CameraName = "wrist") -> None:
-        check_range("fov", fov, 0.0, math.pi * 0.95, open_low=True)
+    def __init__(
+        self,
+        *,
+        fov: float | None = None,
+        intrinsics: CameraIntrinsics | None = None,
+        camera: CameraName = "wrist",
+    ) -> None:
+        check_lens(intrinsics, fov)
         source = camera_keys(camera)
         super().__init__(
             in_keys=[source.depth, source.mask, keys.T_BASE_EE, source.pose],
             out_keys=[keys.POINTS, keys.NUM_POINTS],
         )
-        self.fov = fov
-        self._rays = np.empty((0, 3), dtype=np.float32)
-        self._rays_of = (0, 0)
+        self.fov, self.intrinsics = fov, intrinsics
+        self._lens: CameraIntrinsics | None = None
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         depth, mask, T_base_ee, T_base_camera = read_rows(next_tensordict, *self.in_keys)
         height, width = depth.shape[-2:]
-        rays = self._pixel_rays(height, width)
+        if self._lens is None or (self._lens.height, self._lens.width) != (height, width):
+            self._lens = choose_intrinsics(self.intrinsics, self.fov, height, width)
+        rays = self._lens.rays
         clouds = []
         for row in range(len(depth)):
             index = np.flatnonzero(mask[row])
@@ -67,17 +76,6 @@ class DepthToPoints(PointTransform):
         points = pad_clouds(clouds, height * width)
         write_clouds(next_tensordict, points, [len(cloud) for cloud in clouds])
         return next_tensordict
-
-    def _pixel_rays(self, height: int, width: int) -> np.ndarray:
-        """(H W, 3) directions through the pixels' centres, camera frame (OpenCV), z = 1."""
-        if self._rays_of != (height, width):
-            focal = height / 2 / math.tan(self.fov / 2)
-            v = (np.arange(height, dtype=np.float32) + 0.5 - height / 2) / focal
-            u = (np.arange(width, dtype=np.float32) + 0.5 - width / 2) / focal
-            u, v = np.meshgrid(u, v)
-            self._rays = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3)
-            self._rays_of = (height, width)
-        return self._rays
 
     def _out_shapes(self, observation_spec: Composite) -> dict:
         height, width = observation_spec[self.in_keys[0]].shape[-2:]
