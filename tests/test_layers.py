@@ -25,6 +25,7 @@ GROUND = (
     "errors",
     "documents",
     "keys",
+    "intrinsics",
     "geometry",
     "randomness",
     "episodes",
@@ -45,13 +46,13 @@ ALLOWED = {
     "objectives": {"modules", "ops"},
     "transforms": {"objects", "sim", "envs"},
     "training": {"modules", "objectives", "data", "runs"},
-    "deploy": {"transforms", "modules", "runs"},
     "rollouts": {"objects", "sim", "envs", "planning", "transforms", "data", "runs"},
 }
 ALLOWED["evaluation"] = {"objects", "sim", "envs", "planning", "modules", "objectives", "data"}
 ALLOWED["evaluation"] |= {"rollouts", "runs"}
 ALLOWED["report"] = ALLOWED["evaluation"] | {"evaluation"}
 ALLOWED["config"] = set(ALLOWED)
+ALLOWED["deploy"] = {"config", "objects", "sim"}
 ALLOWED["commands"] = set(ALLOWED)
 ALLOWED["__main__"] = {"commands", "config"}
 # What is imported for annotations alone may be more: who runs episodes hands them to a learner.

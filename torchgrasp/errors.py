@@ -51,6 +51,10 @@ class WorkerError(TorchgraspError):
     """Workers that died again and again; what was saved before is whole."""
 
 
+class PictureError(TorchgraspError):
+    """A camera's picture that a policy cannot use; the next one may be better."""
+
+
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
 

@@ -37,6 +37,8 @@ class DelayObservation(HistoryTransform[Memory]):
         [0.0, 0.0, 0.0, 1.0, 2.0]
     """
 
+    simulates_sensor = True
+
     def __init__(self, steps: int = 1, *, names: Sequence[NestedKey] = (keys.MASK,)) -> None:
         if isinstance(steps, bool) or not isinstance(steps, int) or steps < 0:
             raise ConfigError(f"steps={steps!r}: give a whole number of at least 0.")

@@ -45,6 +45,8 @@ class DepthNoise(PointTransform):
         True
     """
 
+    simulates_sensor = True
+
     def __init__(
         self,
         *,

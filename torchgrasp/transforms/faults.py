@@ -36,6 +36,8 @@ class JitterPoints(PointTransform):
         tensor(5)
     """
 
+    simulates_sensor = True
+
     def __init__(self, sigma: float = 0.001, *, bound: float = 0.005, seed: int = 0) -> None:
         check_range("sigma", sigma, 0.0, float("inf"))
         check_range("bound", bound, 0.0, float("inf"))
@@ -76,6 +78,8 @@ class DropPoints(PointTransform):
         >>> DropPoints(dropped=0.25, occluded=0.0)(td)["num_points"]
         tensor([60])
     """
+
+    simulates_sensor = True
 
     def __init__(
         self,

@@ -31,6 +31,8 @@ class CameraPoseError(PointTransform):
         tensor(True)
     """
 
+    simulates_sensor = True
+
     def __init__(
         self,
         *,
