@@ -15,6 +15,7 @@ from critics import benchmark_critics
 from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
+from grasp_agent import benchmark_agent
 from learner_updates import benchmark_learner
 from neighbours import benchmark_neighbours
 from omegaconf import DictConfig
@@ -42,6 +43,7 @@ _SUITES = {
     "training": benchmark_training,
     "scale": benchmark_scale,
     "critics": benchmark_critics,
+    "agent": benchmark_agent,
 }
 # Those that step the environment of this configuration.
 _WITH_OBJECTS = ("env", "resets", "planner")

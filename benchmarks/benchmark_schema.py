@@ -74,6 +74,17 @@ class Critics(OpenSection):
     ways: list[str]
 
 
+class Agent(OpenSection):
+    """Of the suite `agent`."""
+
+    policy: str
+    objects: Positive
+    worlds: Positive
+    episodes: Positive
+    timed: Positive
+    scenes: Positive
+
+
 class Workers(OpenSection):
     """Who prepares objects."""
 
@@ -98,5 +109,6 @@ class Benchmark(OpenSection):
     training: Training
     scale: Scale
     critics: Critics
+    agent: Agent
     env: Env
     collector: Workers
