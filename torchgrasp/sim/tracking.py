@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import importlib
+from typing import Any
 
 import numpy as np
 
@@ -88,21 +90,28 @@ def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Arr
 
 
 @functools.cache
-def _model() -> tuple[object, object, int]:
-    """Pinocchio's model of the arm, the scene that it came from, and the hand's index in it."""
-    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+def _model() -> tuple[Any, int]:
+    """Pinocchio's model of the arm as SAPIEN brings it along, and the hand's index in it."""
+    # Where a package named pinocchio is installed, SAPIEN's own `create_pinocchio_model` takes that and steps
+    # in Python: several times slower, and with other numbers.
+    exporter = importlib.import_module("sapien.wrapper.urdf_exporter")
+    built_in = importlib.import_module("sapien.pysapien_pinocchio")
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])  # lives until the arm has been described
     panda = Panda(scene)
-    names = [link.name for link in panda.links]
-    model = panda.articulation.create_pinocchio_model()  # pyright: ignore[reportCallIssue]
-    return model, scene, names.index("hand")
+    articulation, names = panda.articulation, [link.name for link in panda.links]
+    xml = exporter.export_kinematic_chain_urdf(articulation, force_fix_root=True)
+    model = built_in.PinocchioModel(xml, [0.0, 0.0, -9.81])
+    model.set_joint_order([f"joint_{each.child_link.index}" for each in articulation.active_joints])
+    model.set_link_order([f"link_{link.index}" for link in articulation.links])
+    return model, names.index("hand")
 
 
 def _newton(
     q: Array, T_base_ee: Array, iterations: int, damping: float, tolerance: float
 ) -> tuple[Array | None, float]:
     """(7,) angles for one (4, 4) hand pose and the error left, or None where limits are in the way."""
-    model, _, hand = _model()
-    found, success, error = model.compute_inverse_kinematics(  # pyright: ignore[reportAttributeAccessIssue]
+    model, hand = _model()
+    found, success, error = model.compute_inverse_kinematics(
         hand,
         sapien.Pose(T_base_ee),
         initial_qpos=np.concatenate((q, (0.0, 0.0))),
