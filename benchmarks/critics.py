@@ -93,18 +93,23 @@ def _collect(
 
         learned = run("train", options.episodes, cfg.env.num_envs, acting, *propose, explore)
         held = run("test", options.held_out, cfg.evaluation.num_envs, acting, explore)
-    tries = torch.cat([split_tries(steps).reshape(-1) for steps in learned]) if trying else None
-    learned, held = (torch.stack([steps.exclude(*_TRIED) for steps in each]) for each in (learned, held))
-    for name, episodes in (("train", learned), ("held out", held)):
-        print(f"{name}: {len(episodes)} episodes, {_outcomes(episodes).mean():.1%} successful", flush=True)
-    return learned, held, tries
+    tries: Any = torch.cat([split_tries(steps).reshape(-1) for steps in learned]) if trying else None
+    return _stack("train", learned), _stack("held out", held), tries
+
+
+def _stack(name: str, episodes: list[TensorDictBase]) -> TensorDictBase:
+    """Episodes (E, T) without what was tried in them; tells how many succeeded."""
+    stacked: Any = torch.stack([steps.exclude(*_TRIED) for steps in episodes])
+    print(f"{name}: {len(stacked)} episodes, {_outcomes(stacked).mean():.1%} successful", flush=True)
+    return stacked
 
 
 def _follow(steps: TensorDictBase, read: list) -> TensorDictBase:
     """An episode (T) with the next of each observation; of the last step, which ends it, its own."""
     index = torch.arange(1, len(steps) + 1).clamp(max=len(steps) - 1)
     following: Any = steps.select(*read[:-1])[index]
-    ends = steps["next"].select("reward", "terminated", "done", keys.TRIED_REWARD, strict=False)
+    after: Any = steps["next"]
+    ends = after.select("reward", "terminated", "done", keys.TRIED_REWARD, strict=False)
     return steps.select(*read, keys.TRIED_ACTION, strict=False).set("next", following.update(ends))
 
 

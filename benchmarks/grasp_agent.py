@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import torch
 from omegaconf import DictConfig
-from tensordict import TensorDictBase
 from torchrl.envs.utils import step_mdp
 
 import torchgrasp
@@ -41,11 +40,11 @@ def _compare(policy: Any, objects: Any, motion: Any, options: DictConfig) -> dic
     """The largest difference between the actions of agent and environment over whole episodes."""
     worlds = options.worlds
     env = torchgrasp.make_env(policy, objects=objects, num_envs=worlds, seed=0, target_motion=motion)
-    lens = env.base_env.cameras["camera"].intrinsics  # pyright: ignore[reportAttributeAccessIssue]
+    lens = _find_lens(env)
     agent = GraspAgent(policy, intrinsics=lens, thin=1, num_arms=worlds, holes_are_empty=True)
     largest, steps, refused = 0.0, 0, 0
     for _ in range(-(-options.episodes // worlds)):
-        state = env.reset()
+        state: Any = env.reset()
         agent.reset()
         for _ in range(env.horizon):
             state = policy(state)
@@ -62,7 +61,12 @@ def _compare(policy: Any, objects: Any, motion: Any, options: DictConfig) -> dic
     return row
 
 
-def _shown(state: TensorDictBase) -> dict[str, np.ndarray]:
+def _find_lens(env: Any) -> CameraIntrinsics:
+    """The intrinsics of an environment's wrist camera."""
+    return env.base_env.cameras["camera"].intrinsics
+
+
+def _shown(state: Any) -> dict[str, Any]:
     """What a camera and an arm tell of a state (N)."""
     names = {"depth": keys.DEPTH, "mask": keys.MASK, "joints": keys.JOINTS, "T_base_ee": keys.T_BASE_EE}
     return {name: state[key].numpy() for name, key in names.items()}
@@ -71,11 +75,11 @@ def _shown(state: TensorDictBase) -> dict[str, np.ndarray]:
 def _time(policy: Any, objects: Any, options: DictConfig) -> dict:
     """Milliseconds of `act` of one arm on one core, over whole episodes."""
     env = torchgrasp.make_env(policy, objects=objects, num_envs=1, seed=0)
-    lens = env.base_env.cameras["camera"].intrinsics  # pyright: ignore[reportAttributeAccessIssue]
+    lens = _find_lens(env)
     agent = GraspAgent(policy, intrinsics=lens, T_ee_camera=RaycastCamera().T_ee_camera)
     spent = []
     for _ in range(options.timed):
-        state = env.reset()
+        state: Any = env.reset()
         agent.reset()
         for _ in range(env.horizon):
             shown = {name: each[0] for name, each in _shown(state).items()}
@@ -98,7 +102,8 @@ def _succeed(policy: Any, objects: Any, camera: RaycastCamera, options: DictConf
     )
     agent = GraspAgent(policy, intrinsics=camera.intrinsics, T_ee_camera=camera.T_ee_camera, num_arms=worlds)
     for _ in range(-(-options.scenes // worlds)):
-        state, reward = env.reset(), np.zeros(worlds)
+        state: Any = env.reset()
+        reward = np.zeros(worlds)
         agent.reset()
         for _ in range(env.horizon):
             shown = _shown(state)
