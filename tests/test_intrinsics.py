@@ -44,6 +44,8 @@ def test_a_thinned_picture_is_seen_as_the_whole_one(step):
 def test_a_matrix_of_opencv_is_taken_as_it_is():
     k = [[612.3, 0.0, 421.4], [0.0, 611.9, 243.7], [0.0, 0.0, 1.0]]
     assert CameraIntrinsics.from_matrix(k, width=848, height=480) == REALSENSE
+    flat = np.ravel(k).tolist()  # as ROS has it
+    assert CameraIntrinsics.from_matrix(flat, width=848, height=480) == REALSENSE
     for wrong in (np.eye(4), [[612.3, 2.0, 421.4], [0, 611.9, 243.7], [0, 0, 1]], np.zeros((3, 3))):
         with pytest.raises(ConfigError):
             CameraIntrinsics.from_matrix(wrong, width=848, height=480)

@@ -60,7 +60,10 @@ class CameraIntrinsics:
 
     @classmethod
     def from_matrix(cls, matrix: Any, *, width: int, height: int, **others: Any) -> CameraIntrinsics:
-        """The camera of a (3, 3) matrix K, as calibration tools give it, and of its picture's size.
+        """The camera of a (3, 3) matrix K, or its nine numbers in rows, and of its picture's size.
+
+        That is how calibration tools and ROS's `camera_info` tell it. The picture must be rectified: no lens
+        distorts it.
 
         Example:
             >>> k = [[610, 0, 421], [0, 612, 244], [0, 0, 1]]
@@ -68,6 +71,7 @@ class CameraIntrinsics:
             612.0
         """
         k = np.asarray(matrix, dtype=np.float64)
+        k = k.reshape(3, 3) if k.shape == (9,) else k
         if k.shape != (3, 3) or k[0, 1] or not np.array_equal(k[[1, 2, 2, 2], [0, 0, 1, 2]], (0, 0, 0, 1)):
             raise ConfigError(
                 f"matrix of shape {k.shape} is no camera matrix: give [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]."

@@ -57,6 +57,29 @@ def test_training_takes_another_seed_but_no_other_observations(described, tmp_pa
             check_usable(described(given), tmp_path, card)
 
 
+def with_fov(told):
+    """As cards and runs of version 0.1 tell it: transforms have the camera's field of view alone."""
+    transforms = {name: dict(each) for name, each in told["transforms"].items()}
+    for each in transforms.values():
+        if each.pop("intrinsics", None) is not None:
+            each["fov"] = told["camera"]["intrinsics"]["fov"]
+    return {**told, "transforms": transforms}
+
+
+def test_intrinsics_are_the_same_whether_by_themselves_or_by_their_field_of_view(described, tmp_path):
+    now = described()
+    assert with_fov(now) != now
+    for ours in (now, with_fov(now)):
+        for theirs in (now, with_fov(now)):
+            check_usable(ours, tmp_path, {"provenance": theirs})
+            check_same_collection(ours, tmp_path, {"provenance": theirs})
+    other = described("camera.intrinsics.fov=0.7")
+    with pytest.raises(ConfigError, match="with another transforms, camera"):
+        check_usable(now, tmp_path, {"provenance": with_fov(other)})
+    with pytest.raises(ConfigError, match="with another transforms"):
+        check_usable(now, tmp_path, {"provenance": {**now, "transforms": ["points"]}})
+
+
 def test_a_learner_collects_what_it_has_learned_from(composed, untrained):
     learner = [*("experiment=smoke", "demonstrations.kind=learner"), f"demonstrations.policy={untrained()}"]
     check_learner(composed(*learner, "seed=3"))

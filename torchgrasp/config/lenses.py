@@ -21,13 +21,22 @@ def name_lenses(config: dict[str, Any]) -> dict[str, Any]:
 
     A field of view of another size than the camera's stays as it is.
     """
-    transforms = dict(config.get("transforms") or {})
-    for name, transform in transforms.items():
-        theirs = (config.get(_which_camera(transform)) or {}).get("intrinsics") or {}
-        if "fov" in transform and transform["fov"] == theirs.get("fov"):
-            others = {option: value for option, value in transform.items() if option != "fov"}
-            transforms[name] = {**others, "intrinsics": theirs}
-    return {**config, "transforms": transforms} if transforms else config
+    transforms = config.get("transforms")
+    if not isinstance(transforms, Mapping):
+        return config
+    named = {name: _name_lens(transform, config) for name, transform in transforms.items()}
+    return {**config, "transforms": named}
+
+
+def _name_lens(transform: Any, config: Mapping[str, Any]) -> Any:
+    if not isinstance(transform, Mapping) or "fov" not in transform:
+        return transform
+    camera = config.get(_which_camera(transform))
+    theirs = camera.get("intrinsics") if isinstance(camera, Mapping) else None
+    if not isinstance(theirs, Mapping) or transform["fov"] != theirs.get("fov"):
+        return transform
+    others = {option: value for option, value in transform.items() if option != "fov"}
+    return {**others, "intrinsics": theirs}
 
 
 def follow_cameras(config: Mapping[str, Any]) -> dict[str, Any]:

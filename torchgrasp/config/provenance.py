@@ -54,11 +54,11 @@ def check_usable(ours: dict, path: Path, card: dict) -> None:
     compared: rows are, when the buffer is made.
     """
     told = [name for name in _SHARED if name in card["provenance"]]
-    _refuse_differing(ours, path, {**card, "provenance": name_lenses(card["provenance"])}, told, _unseeded)
+    _refuse_differing(ours, path, card, told, _unseeded)
 
 
 def _refuse_differing(ours: dict, path: Path, card: dict, names: list[str], plain: Any) -> None:
-    theirs = card["provenance"]
+    ours, theirs = name_lenses(ours), name_lenses(card["provenance"])
     differing = [name for name in names if plain(ours.get(name)) != plain(theirs.get(name))]
     if differing:
         raise ConfigError(
@@ -71,7 +71,7 @@ def check_learner(cfg: DictConfig) -> None:
     """Refuse a `demonstrations.policy` that learned from other observations than those configured."""
     policy = Path(str(cfg.demonstrations.policy))
     brought = read_trained(policy, cfg.trust).config
-    ours, theirs = describe_provenance(cfg), {**brought, **brought.get("env", {})}
+    ours, theirs = name_lenses(describe_provenance(cfg)), {**brought, **brought.get("env", {})}
     names = [name for name in _SHARED if name in theirs]
     differing = [name for name in names if _unseeded(theirs[name]) != _unseeded(ours[name])]
     if differing:

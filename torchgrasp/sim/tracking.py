@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from torchgrasp.sim._sapien import sapien
+from torchgrasp.sim._sapien import load_sapien, sapien
 from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, Array, jacobian, link_poses, pose_error
 from torchgrasp.sim.panda import Panda
 
@@ -25,8 +25,8 @@ def track_pose(
     """Inverse kinematics that continues smoothly from q: damped least squares within the limits.
 
     Pinocchio's Newton steps, which know no joint limits, come first; where they end outside of them, or
-    nowhere, the same steps are taken here with the joints that meet a limit locked. Where the others
-    cannot make up for these, position comes before rotation.
+    nowhere, the same steps are taken here with the joints that meet a limit locked. In a step with a locked
+    joint position comes before rotation.
 
     Args:
         q: (N, 7) joint angles to start from.
@@ -94,6 +94,7 @@ def _model() -> tuple[Any, int]:
     """Pinocchio's model of the arm as SAPIEN brings it along, and the hand's index in it."""
     # Where a package named pinocchio is installed, SAPIEN's own `create_pinocchio_model` takes that and steps
     # in Python: several times slower, and with other numbers.
+    load_sapien()
     exporter = importlib.import_module("sapien.wrapper.urdf_exporter")
     built_in = importlib.import_module("sapien.pysapien_pinocchio")
     scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])  # lives until the arm has been described
