@@ -9,8 +9,9 @@ from torchgrasp.geometry import ACTION_SIZE, action_to_pose
 from torchgrasp.planning import NO_PLANNER, PlanStatus
 
 _EMPTY = 1e-3  # metres between pads that hold nothing
-# The arm was stopped where this many steps ended that far, in metres, from where they were to end.
-_STOPPED_STEPS, _STOPPED_SHORT = 3, 0.02
+# The arm was stopped where this many steps ended that far, in metres, from where they were to end, or that
+# much, in radians, from how the hand was to be turned: it gives way in its rotation first.
+_STOPPED_STEPS, _STOPPED_SHORT, _STOPPED_TURN = 3, 0.02, 0.1
 
 
 def failure_cause(steps: TensorDictBase, gap: float) -> str | None:
@@ -42,5 +43,8 @@ def _count_stopped(steps: TensorDictBase) -> int:
     if steps[keys.ACTION].shape[-1] != ACTION_SIZE:
         return 0
     sent = steps[keys.T_BASE_EE] @ action_to_pose(steps[keys.ACTION])
-    missed = (sent[:-1, :3, 3] - steps[keys.T_BASE_EE][1:, :3, 3]).norm(dim=-1)
-    return int((missed > _STOPPED_SHORT).sum())
+    sent, came = sent[:-1], steps[keys.T_BASE_EE][1:]
+    missed = (sent[:, :3, 3] - came[:, :3, 3]).norm(dim=-1)
+    turned = (sent[:, :3, :3].mT @ came[:, :3, :3]).diagonal(dim1=-2, dim2=-1).sum(dim=-1)
+    angle = ((turned - 1) / 2).clamp(-1.0, 1.0).acos()
+    return int(((missed > _STOPPED_SHORT) | (angle > _STOPPED_TURN)).sum())
