@@ -77,7 +77,7 @@ def _time(policy: Any, objects: Any, options: DictConfig) -> dict:
     env = torchgrasp.make_env(policy, objects=objects, num_envs=1, seed=0)
     lens = _find_lens(env)
     agent = GraspAgent(policy, intrinsics=lens, T_ee_camera=RaycastCamera().T_ee_camera)
-    spent = []
+    spent, points = [], 0
     for _ in range(options.timed):
         state: Any = env.reset()
         agent.reset()
@@ -86,10 +86,10 @@ def _time(policy: Any, objects: Any, options: DictConfig) -> dict:
             started = time.perf_counter()
             command = agent.act(**shown)
             spent.append(1e3 * (time.perf_counter() - started))
+            points = int(command.num_points)
             state[keys.ACTION] = torch.from_numpy(command.action)[None]
             state = step_mdp(env.step(state))
     median, p95 = np.percentile(spent, (50, 95)).tolist()
-    points = agent._arms[0].num_points
     print(f"act on one core: {median:.1f} ms (95 %: {p95:.1f}) over {len(spent)} steps", flush=True)
     return {"act_milliseconds": median, "act_milliseconds_p95": p95, "steps": len(spent), "points": points}
 

@@ -211,12 +211,14 @@ class GraspAgent:
         if joints is None:
             return [None] * n, _read_pose("T_base_ee", T_base_ee, self.num_arms).reshape(n, 4, 4)
         q = _read_numbers("joints", joints)
-        shapes = [(*self._batch, size) for size in (7, 9)]
+        batch = () if self.num_arms is None else (self.num_arms,)
+        shapes = [(*batch, size) for size in (7, 9)]
         if q.shape not in shapes:
             raise ConfigError(f"joints of shape {q.shape}: give {shapes[0]}, or {shapes[1]} with fingers.")
         q = q.reshape(n, -1)
-        hands = forward_kinematics(q[:, :7]) if T_base_ee is None else None
-        if hands is None:
+        if T_base_ee is None:
+            hands = forward_kinematics(q[:, :7])
+        else:
             hands = _read_pose("T_base_ee", T_base_ee, self.num_arms).reshape(n, 4, 4)
         fingers = np.full((n, 2), _FINGERS_OPEN) if q.shape[1] == 7 else q[:, 7:]
         return list(np.concatenate((q[:, :7], fingers), axis=1)), hands
@@ -279,10 +281,6 @@ class GraspAgent:
         lowest = lowest_point(hands) - self.table_height
         hands[:, 2, 3] += np.maximum(0.0, TABLE_GUARD - lowest)
         return hands
-
-    @property
-    def _batch(self) -> tuple[int, ...]:
-        return () if self.num_arms is None else (self.num_arms,)
 
 
 class _Arm:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import roma
 from tensordict import TensorDictBase
 
 from torchgrasp import keys
@@ -45,6 +46,5 @@ def _count_stopped(steps: TensorDictBase) -> int:
     sent = steps[keys.T_BASE_EE] @ action_to_pose(steps[keys.ACTION])
     sent, came = sent[:-1], steps[keys.T_BASE_EE][1:]
     missed = (sent[:, :3, 3] - came[:, :3, 3]).norm(dim=-1)
-    turned = (sent[:, :3, :3].mT @ came[:, :3, :3]).diagonal(dim1=-2, dim2=-1).sum(dim=-1)
-    angle = ((turned - 1) / 2).clamp(-1.0, 1.0).acos()
-    return int(((missed > _STOPPED_SHORT) | (angle > _STOPPED_TURN)).sum())
+    unturned = roma.rotmat_geodesic_distance(sent[:, :3, :3], came[:, :3, :3])
+    return int(((missed > _STOPPED_SHORT) | (unturned > _STOPPED_TURN)).sum())

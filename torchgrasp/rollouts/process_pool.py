@@ -19,8 +19,7 @@ from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, Worke
 # Workers are copies of one process that has imported what they need and done nothing else: a fork of this one
 # would share its threads and physics, and one spawned anew imports for eight seconds.
 COPIES = get_context("forkserver")
-_IMPORTED = ["torchgrasp.rollouts", "torchgrasp.envs", "torchgrasp.planning", "torchgrasp.modules"]
-_IMPORTED += ["torchgrasp.sim.loaded"]
+_IMPORTED = [f"torchgrasp.{part}" for part in ("rollouts", "envs", "planning", "modules", "sim.loaded")]
 _SERVER_IS_GONE = 255  # the exit code that multiprocessing gives to its children then
 _STARTING = threading.Lock()  # multiprocessing keeps its children in a list without one
 

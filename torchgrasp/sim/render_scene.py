@@ -18,7 +18,6 @@ from torchgrasp.sim.scene_parts import FLOOR, Part, furniture, robot_parts
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 
-# Shaders of SAPIEN: "default" lights and shades; "trivial" gives positions and identities only.
 _MAX_TARGETS = 32
 _MAX_TEXTURES = 48
 # Depth to which things are drawn, metres: beyond a camera's range they are seen in colour only.
@@ -95,6 +94,7 @@ class RenderScene:
 
     def _camera(self, cam: CameraIntrinsics, shader: str) -> sapien.render.RenderCameraComponent:
         if (cam, shader) not in self._cameras:
+            # "default" lights and shades; "trivial" gives positions and identities only.
             shaders = Path(sapien.__file__).parent / "vulkan_shader"
             camera = sapien.render.RenderCameraComponent(cam.width, cam.height, str(shaders / shader))
             (fx, fy), (cx, cy) = cam.focal.tolist(), cam.centre.tolist()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterable, Sequence
 from typing import ClassVar, Literal
@@ -95,13 +96,19 @@ def choose_intrinsics(
         ConfigError: where the picture is of another size than the camera's.
     """
     if intrinsics is None:
-        return CameraIntrinsics(width, height, fov=math.pi / 2 if fov is None else fov)
+        return _by_view(width, height, math.pi / 2 if fov is None else fov)
     if (intrinsics.height, intrinsics.width) != (height, width):
         raise ConfigError(
             f"A picture of {width} x {height} pixels does not belong to intrinsics of {intrinsics.width} x "
             f"{intrinsics.height}: give those of the pictures, since the focal length counts in their pixels."
         )
     return intrinsics
+
+
+@functools.lru_cache(maxsize=16)
+def _by_view(width: int, height: int, fov: float) -> CameraIntrinsics:
+    """Kept, with the rays that it is asked for: transforms choose it anew for every picture."""
+    return CameraIntrinsics(width, height, fov=fov)
 
 
 def check_lens(intrinsics: CameraIntrinsics | None, fov: float | None) -> None:

@@ -55,14 +55,11 @@ class DepthToPoints(PointTransform):
             out_keys=[keys.POINTS, keys.NUM_POINTS],
         )
         self.fov, self.intrinsics = fov, intrinsics
-        self._lens: CameraIntrinsics | None = None
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         depth, mask, T_base_ee, T_base_camera = read_rows(next_tensordict, *self.in_keys)
         height, width = depth.shape[-2:]
-        if self._lens is None or (self._lens.height, self._lens.width) != (height, width):
-            self._lens = choose_intrinsics(self.intrinsics, self.fov, height, width)
-        rays = self._lens.rays
+        rays = choose_intrinsics(self.intrinsics, self.fov, height, width).rays
         clouds = []
         for row in range(len(depth)):
             index = np.flatnonzero(mask[row])
