@@ -11,10 +11,9 @@ from torchgrasp.envs.starts import touches
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.objects.gripper import lowest_point
-from torchgrasp.sim import Physics, Placement
+from torchgrasp.sim import Physics, Placement, SapienEngine
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.reach import clear_grasps, in_reach
-from torchgrasp.sim.world import World
 
 OBJECTS = ProceduralObjects("train", num_objects=5, num_grasps=100)
 
@@ -59,7 +58,9 @@ def test_the_arm_starts_within_its_limits_and_clear_of_the_table(scenes):
 
 def test_nothing_moves_while_the_arm_waits_at_its_start(scenes):
     for scene in scenes[::4]:
-        world = World(Placement(OBJECTS[scene.object_id], scene.T_base_object, scene.q, Physics()))
+        world = SapienEngine().build(
+            Placement(OBJECTS[scene.object_id], scene.T_base_object, scene.q, Physics())
+        )
         for _ in range(4):
             world.drive(scene.q)
         assert world.joints[:7] == pytest.approx(scene.q, abs=2e-3)

@@ -5,6 +5,7 @@ from torchgrasp.objects.build import build_object
 from torchgrasp.objects.families import FAMILIES
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.solids import Solid, box, cylinder
+from torchgrasp.sim import Engine, make_engine
 
 
 def build(solid: Solid, name: str) -> GraspObject:
@@ -28,3 +29,9 @@ def can() -> GraspObject:
 def ball() -> GraspObject:
     """An ellipsoid, which rolls."""
     return build(FAMILIES["ellipsoid"](np.random.default_rng(1)), "ball")
+
+
+@pytest.fixture(params=["sapien", "mujoco"])
+def engine(request) -> Engine:
+    """Each engine in turn."""
+    return make_engine(request.param)

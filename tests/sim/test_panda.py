@@ -7,9 +7,8 @@ from sapien import physx
 
 from torchgrasp.objects.gripper import lowest_point
 from torchgrasp.sim import kinematics as kin
-from torchgrasp.sim import panda as robot
 from torchgrasp.sim.panda import Panda
-from torchgrasp.sim.panda_tables import hand_boxes
+from torchgrasp.sim.panda_tables import FINGER_CLOSED, FINGER_OPEN, hand_boxes
 
 READY = kin.READY_POSTURE
 
@@ -187,12 +186,12 @@ def test_the_forearm_and_hand_collide_with_the_base():
 
 def test_the_fingers_close_and_open_at_their_speed():
     stand = Stand()
-    stand.panda.drive_fingers(robot.FINGER_CLOSED)
+    stand.panda.drive_fingers(FINGER_CLOSED)
     stand.step(0.1)
     # 0.2 m/s; PhysX holds a speed limit softly.
     assert np.all(stand.q[7:] > 0.04 - 0.3 * 0.1) and np.all(stand.q[7:] < 0.04 - 0.15 * 0.1)
     stand.step(0.4)
     assert stand.q[7:] == pytest.approx([0, 0], abs=2e-3)
-    stand.panda.drive_fingers(robot.FINGER_OPEN)
+    stand.panda.drive_fingers(FINGER_OPEN)
     stand.step(0.5)
     assert stand.q[7:] == pytest.approx([0.04, 0.04], abs=2e-3)

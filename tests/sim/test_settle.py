@@ -3,10 +3,9 @@ import pytest
 import trimesh
 
 from torchgrasp.objects import FolderObjects, ProceduralObjects
-from torchgrasp.sim import Physics, Placement
+from torchgrasp.sim import Physics, Placement, SapienEngine
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.settle import prepare_resting, settle, settled_poses
-from torchgrasp.sim.world import World
 
 OBJECTS = ProceduralObjects("train", num_objects=8, num_grasps=100)
 
@@ -19,7 +18,7 @@ def test_settled_poses_stay_still(index):
     for pose in poses[:4]:
         start = pose.copy()
         start[:2, 3] = 0.6, 0.3
-        world = World(Placement(target, start, kin.READY_POSTURE, Physics()))
+        world = SapienEngine().build(Placement(target, start, kin.READY_POSTURE, Physics()))
         for _ in range(20):  # 3 s
             world.drive(kin.READY_POSTURE)
         drift = world.T_base_object - start

@@ -63,7 +63,9 @@ def make_split_env(cfg: DictConfig, split: str) -> TransformedEnv:
         if (motion := cfg.evaluation.get("target_motion")) is not None:
             options["target_motion"] = motion
     cameras = {"camera": build(cfg.camera), "overhead": build(cfg.overhead)}
-    env: GraspEnv = build(cfg.env, objects=make_objects(cfg, split), **cameras, **options)
+    # Runs of before there were two engines name none.
+    engine = build(cfg.get("engine")) or "sapien"
+    env: GraspEnv = build(cfg.env, objects=make_objects(cfg, split), engine=engine, **cameras, **options)
     return TransformedEnv(env, make_transforms(cfg.transforms))
 
 

@@ -11,7 +11,7 @@ from torchgrasp.config.trained_policy import TrainedPolicy, load_policy, make_en
 from torchgrasp.envs import Start, TargetMotion
 from torchgrasp.envs.gym import GymGrasp
 from torchgrasp.objects import GraspObject
-from torchgrasp.sim import Physics
+from torchgrasp.sim import Engine, EngineName, Physics
 
 
 def make_gym_env(
@@ -21,6 +21,7 @@ def make_gym_env(
     seed: int | None = None,
     start: Start | None = None,
     physics: Physics | None = None,
+    engine: Engine | EngineName = "sapien",
     target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",
     object_order: Literal["random", "cycle"] = "random",
 ) -> GymGrasp:
@@ -45,6 +46,7 @@ def make_gym_env(
         seed=seed,
         start=start,
         physics=physics,
+        engine=engine,
         target_motion=target_motion,
         object_order=object_order,
     )

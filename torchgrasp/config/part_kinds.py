@@ -28,7 +28,7 @@ from torchgrasp.objectives import PoseDistance
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import GoalChoice, Law, Planner, PoseNoise
 from torchgrasp.rollouts import EpisodePool
-from torchgrasp.sim import Camera, CameraIntrinsics, LookAt, Physics, Randomization
+from torchgrasp.sim import Camera, CameraIntrinsics, Engine, LookAt, Physics, Randomization
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,7 @@ _KINDS: dict[str, PartKind] = {
     "env.start": PartKind(Start),
     "env.physics": PartKind(Physics),
     "env.target_motion": PartKind(TargetMotion, plain=True),
+    "engine": PartKind(Engine, optional=True),
     "objects": PartKind(ObjectSet),
     "objects.sets.*": PartKind(ObjectSet),
     "camera": PartKind(Camera),

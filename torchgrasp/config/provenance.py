@@ -16,13 +16,14 @@ from torchgrasp.rollouts.collection import SHARD_ROUNDS
 
 # What demonstrations and a training run on them must have in common.
 _SHARED = ("kind", "transforms", "camera", "overhead", "horizon", "action_space")
+_FIRST_ENGINE = {"_target_": "torchgrasp.sim.SapienEngine"}
 
 
 def describe_provenance(cfg: DictConfig) -> dict[str, Any]:
     """All of the configuration that changes which episodes are collected."""
     plain = OmegaConf.to_container(cfg, resolve=True)
     assert isinstance(plain, dict)
-    names = ("seed", "env", "objects", "camera", "overhead", "transforms", "expert")
+    names = ("seed", "env", "engine", "objects", "camera", "overhead", "transforms", "expert")
     told: dict[str, Any] = {str(name): plain[name] for name in names if name in plain}
     demos = cfg.demonstrations
     told |= {
@@ -58,13 +59,18 @@ def check_usable(ours: dict, path: Path, card: dict) -> None:
 
 
 def _refuse_differing(ours: dict, path: Path, card: dict, names: list[str], plain: Any) -> None:
-    ours, theirs = name_lenses(ours), name_lenses(card["provenance"])
+    ours, theirs = (_name_engine(name_lenses(each)) for each in (ours, card["provenance"]))
     differing = [name for name in names if plain(ours.get(name)) != plain(theirs.get(name))]
     if differing:
         raise ConfigError(
             f"The demonstrations in {path} were collected with another {', '.join(differing)}: "
             f"configure that as {path / 'card.json'} tells, or give another folder."
         )
+
+
+def _name_engine(told: dict) -> dict:
+    """What is told, with the engine that all worlds had before there were two."""
+    return {**told, "engine": told.get("engine") or _FIRST_ENGINE}
 
 
 def check_learner(cfg: DictConfig) -> None:

@@ -194,6 +194,7 @@ class Training(Section):
     trust: Packages
     total_env_steps: Count
     env: Env
+    engine: Parts | None = None
     objects: Parts
     camera: Parts
     overhead: Parts | None
@@ -239,6 +240,7 @@ class Evaluate(Section):
     output_dir: FilePath
     trust: Packages
     env: Env
+    engine: Parts | None = None
     objects: Parts
     camera: Parts
     overhead: Parts | None

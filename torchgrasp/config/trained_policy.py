@@ -19,7 +19,7 @@ from torchgrasp.config.weights_files import check_weights, read_trained
 from torchgrasp.envs import GraspEnv, Start, TargetMotion
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.objects import GraspObject, ProceduralObjects
-from torchgrasp.sim import Camera, Physics
+from torchgrasp.sim import Camera, Engine, EngineName, Physics
 
 
 class TrainedPolicy(TensorDictSequential):
@@ -84,6 +84,7 @@ def make_env(
     camera: Camera | None = None,
     start: Start | None = None,
     physics: Physics | None = None,
+    engine: Engine | EngineName = "sapien",
     target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",
     object_order: Literal["random", "cycle"] = "random",
 ) -> TransformedEnv:
@@ -97,6 +98,7 @@ def make_env(
         camera: on the wrist, in place of that of training; the transforms follow its intrinsics.
         start: where episodes begin; facing the target (Sec. 6.2) by default.
         physics: masses, friction, forces and rates.
+        engine: ``sapien``, ``mujoco`` (extra mujoco), or an `Engine`.
         target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (6.7), ``mixed``, or a motion itself.
         object_order: ``random`` or ``cycle``.
 
@@ -124,6 +126,7 @@ def make_env(
         horizon=config["env"]["horizon"],
         start=start,
         physics=physics,
+        engine=engine,
         target_motion=target_motion,
         action_space=config["env"].get("action_space", "ee_delta"),
         object_order=object_order,

@@ -20,7 +20,7 @@ from torchgrasp.envs.starts import Start, StartPoses
 from torchgrasp.envs.trigger import GRASP_TRIGGERS, GraspTrigger, is_between_fingers
 from torchgrasp.errors import ConfigError, TorchgraspError, check_whole
 from torchgrasp.objects.model import GraspObject
-from torchgrasp.sim import Camera, Physics, Placement, RaycastCamera, Worlds
+from torchgrasp.sim import Camera, Engine, EngineName, Physics, Placement, RaycastCamera, Worlds
 from torchgrasp.sim.control import ActionSpaceName, make_action_space
 from torchgrasp.sim.world import LIFTED
 
@@ -49,6 +49,7 @@ class GraspEnv(EnvBase):
         horizon: T, steps of an episode (Sec. 6.4: 30).
         start: the distribution of object places and start postures.
         physics: masses, friction, forces, rates; what has a range is drawn for each episode.
+        engine: that the worlds move by: ``sapien``, ``mujoco`` (extra mujoco), or an `Engine`.
         target_motion: ``static``, ``jitter`` (Sec. 6.6), ``handover`` (6.7), ``mixed``, or a motion itself.
         action_space: ``ee_delta``, ``joint_delta`` or ``joint_velocity``.
         grasp_trigger: ``horizon``: the fingers close after the last step; ``between_fingers``: after
@@ -79,6 +80,7 @@ class GraspEnv(EnvBase):
         horizon: int = 30,
         start: Start | None = None,
         physics: Physics | None = None,
+        engine: Engine | EngineName = "sapien",
         target_motion: TargetMotion | Literal["static", "jitter", "handover", "mixed"] = "static",
         action_space: ActionSpaceName = "ee_delta",
         grasp_trigger: GraspTrigger = "horizon",
@@ -100,7 +102,7 @@ class GraspEnv(EnvBase):
         self.cameras: dict[str, Camera] = {"camera": camera or RaycastCamera()}
         if overhead is not None:
             self.cameras["overhead"] = overhead
-        self.worlds = Worlds(num_envs)
+        self.worlds = Worlds(num_envs, engine=engine)
         physics = physics or Physics()
         self.actions = make_action_space(action_space, control_period=physics.control_period)
         self._base_seed = _choose_seed(seed)

@@ -7,7 +7,8 @@ import numpy as np
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.physics import Physics
-from torchgrasp.sim.world import LIFTED, Placement, World
+from torchgrasp.sim.sapien_world import SapienWorld
+from torchgrasp.sim.world import LIFTED, Placement
 
 
 def grasp_holds(target: GraspObject, T_object_ee: np.ndarray, physics: Physics) -> bool:
@@ -21,7 +22,7 @@ def grasp_holds(target: GraspObject, T_object_ee: np.ndarray, physics: Physics) 
     q = kinematics.READY_POSTURE
     T_base_ee = kinematics.forward_kinematics(q[None])[0]
     T_base_object = T_base_ee @ np.linalg.inv(np.asarray(T_object_ee, np.float64))
-    world = World(Placement(target, T_base_object, q, physics, held=True))
+    world = SapienWorld(Placement(target, T_base_object, q, physics, held=True))
     world.close_fingers()
     before = world.T_base_object[2, 3]
     for _ in world.lift():

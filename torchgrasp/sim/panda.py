@@ -7,11 +7,18 @@ import numpy as np
 from torchgrasp.sim import kinematics
 from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.panda_tables import (
+    ARM_DAMPING,
     ARM_SHAPES,
+    ARM_STIFFNESS,
+    BODY_FRICTION,
+    FINGER_ARMATURE,
+    FINGER_DAMPING,
     FINGER_INERTIAL,
     FINGER_MOUNT,
     FINGER_OPEN,
     FINGER_SHAPES,
+    FINGER_STIFFNESS,
+    FINGER_VELOCITY,
     HAND_INERTIAL,
     HAND_SHAPES,
     IGNORE_BITS,
@@ -21,14 +28,6 @@ from torchgrasp.sim.panda_tables import (
     mirrored,
 )
 
-ARM_STIFFNESS, ARM_DAMPING = 4e3, 2e2
-FINGER_STIFFNESS, FINGER_DAMPING = 1e3, 1e2
-FINGER_VELOCITY = 0.2
-# Inertia of the drive behind each finger, kg. Against 15 g alone, 40 N press the pads millimetres into
-# whatever they hold, the deeper the longer a physics step; with it they stand on the surface.
-FINGER_ARMATURE = 0.2
-# A negative target, so that a thin wall between the pads still gets the fingers' whole force.
-FINGER_CLOSED = -0.04
 _ROBOT_ID = 1
 
 
@@ -44,7 +43,7 @@ class Panda:
     def __init__(
         self, scene: sapien.Scene, *, finger_friction: float = 2.0, finger_force: float = 40.0
     ) -> None:
-        self._body_material = sapien.physx.PhysxMaterial(0.3, 0.3, 0.0)
+        self._body_material = sapien.physx.PhysxMaterial(BODY_FRICTION, BODY_FRICTION, 0.0)
         self._finger_material = sapien.physx.PhysxMaterial(finger_friction, finger_friction, 0.0)
         builder = scene.create_articulation_builder()
         self._build_links(builder)

@@ -1,4 +1,6 @@
-"""The numbers of franka_ros that the simulated Panda is built from: masses and shapes of its links.
+"""The numbers that the simulated Panda is built from, whatever engine moves it: links, shapes and drives.
+
+Masses and shapes of the links are franka_ros's.
 
 Finger boxes are exact, because contact decides grasping; every other link is one capsule or box.
 """
@@ -10,7 +12,17 @@ from dataclasses import dataclass
 import numpy as np
 
 FINGER_OPEN = 0.04
+# A negative target, so that a thin wall between the pads still gets the fingers' whole force.
+FINGER_CLOSED = -0.04
 FINGER_MOUNT = 0.0584
+ARM_STIFFNESS, ARM_DAMPING = 4e3, 2e2
+FINGER_STIFFNESS, FINGER_DAMPING = 1e3, 1e2
+FINGER_VELOCITY = 0.2
+# Inertia of the drive behind each finger, kg. Against 15 g alone, 40 N press the pads millimetres into
+# whatever they hold, the deeper the longer a physics step; with it they stand on the surface.
+FINGER_ARMATURE = 0.2
+# Static and dynamic, of all links but the fingers.
+BODY_FRICTION = 0.3
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from torchgrasp.objects.parallel import run_each
 from torchgrasp.objects.sets import ObjectSet
 from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.physics import Physics
+from torchgrasp.sim.sapien_world import build_target
 from torchgrasp.sim.table import build_table
-from torchgrasp.sim.world import build_target
 
 _VERSION = 1  # part of every file's name: raise it when the same object gives other poses
 _SETTLE_RATE = 120

@@ -1,7 +1,8 @@
-"""One PhysX scene: a Panda, the table and one target object."""
+"""What a world is, whatever engine moves it: how an arm is led, fingers close, and a target is lifted."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -10,10 +11,8 @@ import numpy as np
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import kinematics
-from torchgrasp.sim._sapien import sapien
-from torchgrasp.sim.panda import FINGER_CLOSED, Panda
+from torchgrasp.sim.panda_tables import FINGER_CLOSED
 from torchgrasp.sim.physics import Physics
-from torchgrasp.sim.table import build_table
 from torchgrasp.sim.tracking import track_pose
 
 # The open hand's box in its frame, for the question how near the target is.
@@ -46,57 +45,83 @@ class Placement:
     appearance: int = 0
 
 
-class World:
+class World(ABC):
     """A scene built anew for every episode, so that an episode depends on nothing before it.
 
-    Building takes 2 to 3 ms, less than two control steps, and leaves no memory behind.
+    An engine's own world says how its bodies are read, driven and stepped; what is done with them is here,
+    once for all engines. At the end of `__init__` the arm stands at the placement's q, fingers open, at rest.
+
+    Args:
+        placement: how the episode begins.
     """
 
     def __init__(self, placement: Placement) -> None:
-        physics = placement.physics
         self.placement = placement
-        self._system = sapien.physx.PhysxCpuSystem()
-        self._scene = sapien.Scene([self._system])
-        material = sapien.physx.PhysxMaterial(physics.friction, physics.friction, 0.0)
-        build_table(self._scene, material)
-        self._panda = Panda(
-            self._scene, finger_friction=physics.finger_friction, finger_force=physics.finger_force
-        )
-        self._target = build_target(self._scene, placement.target, placement.T_base_object, physics, material)
-        self._target.kinematic = placement.held
         self._radius = float(np.linalg.norm(surface_points(placement.target), axis=-1).max())
         self._carried: tuple[np.ndarray, np.ndarray] | None = None
-        self._panda.place(placement.q)
+
+    @property
+    @abstractmethod
+    def joints(self) -> np.ndarray:
+        """(9,) arm angles and finger positions."""
+
+    @property
+    @abstractmethod
+    def joint_velocities(self) -> np.ndarray:
+        """(9,) rates of `joints`."""
+
+    @property
+    @abstractmethod
+    def T_base_object(self) -> np.ndarray:
+        """(4, 4) pose of the target."""
+
+    @property
+    @abstractmethod
+    def held(self) -> bool:
+        """Whether the target is held where it is put, so that no contact moves it."""
+
+    @abstractmethod
+    def _build_again(self, placement: Placement) -> World:
+        """A new world of the same engine."""
+
+    @abstractmethod
+    def _lead_arm(self, q: np.ndarray) -> None:
+        """Set the targets of the arm's drives, (7,) radians."""
+
+    @abstractmethod
+    def _lead_arm_velocity(self, rate: np.ndarray) -> None:
+        """Set the rates at which those targets move, (7,) rad/s."""
+
+    @abstractmethod
+    def _lead_fingers(self, opening: float) -> None:
+        """Set the targets of both fingers' drives, metres each."""
+
+    @abstractmethod
+    def _put_target(self, T_base_object: np.ndarray) -> None:
+        """Put a target that is not held at a (4, 4) pose, at rest."""
+
+    @abstractmethod
+    def _carry_target(self, T_base_object: np.ndarray) -> None:
+        """Let a held target be at a (4, 4) pose after the next physics step."""
+
+    @abstractmethod
+    def _let_go(self) -> None:
+        """From now on the held target moves freely; it is at rest."""
+
+    @abstractmethod
+    def _advance(self, rate: int) -> None:
+        """One physics step of 1 / rate seconds."""
 
     def copy(self) -> World:
         """Another world in which arm and target are where they are in this one, at rest, the fingers open."""
-        placement = replace(self.placement, q=self.joints[:7], T_base_object=self.T_base_object)
-        return World(placement)
-
-    @property
-    def joints(self) -> np.ndarray:
-        """(9,) arm angles and finger positions."""
-        return self._panda.articulation.qpos.astype(np.float64)
-
-    @property
-    def joint_velocities(self) -> np.ndarray:
-        """(9,) rates of `joints`."""
-        return self._panda.articulation.qvel.astype(np.float64)
-
-    @property
-    def T_base_object(self) -> np.ndarray:
-        """(4, 4) pose of the target."""
-        return self._target.entity_pose.to_transformation_matrix().astype(np.float64)
+        return self._build_again(replace(self.placement, q=self.joints[:7], T_base_object=self.T_base_object))
 
     def move_target(self, T_base_object: np.ndarray) -> None:
         """Put the target at a (4, 4) pose at once; one that is held is carried there in the next step."""
-        if self._target.kinematic:
+        if self.held:
             self._carried = (self.T_base_object, T_base_object)
-            return
-        self._target.entity_pose = sapien.Pose(T_base_object)
-        self._target.set_linear_velocity([0.0, 0.0, 0.0])
-        self._target.set_angular_velocity([0.0, 0.0, 0.0])
-        self._target.wake_up()
+        else:
+            self._put_target(T_base_object)
 
     def drive(self, q: np.ndarray) -> None:
         """One control step with the arm's drives led to q (7,), no faster than the joints may turn."""
@@ -129,16 +154,15 @@ class World:
     def close_fingers(self) -> None:
         """Close the fingers on whatever is between them, until they stand; a held target is then let go."""
         physics = self.placement.physics
-        self._panda.drive_arm_velocity(np.zeros(7))
-        self._panda.drive_fingers(FINGER_CLOSED)
+        self._lead_arm_velocity(np.zeros(7))
+        self._lead_fingers(FINGER_CLOSED)
         slices = max(1, round(physics.close_seconds / 0.05))
         for i in range(slices):
             self._step(0.05, physics.close_rate)
             if i > 0 and np.abs(self.joint_velocities[7:]).max() < _STANDING:
                 break
-        if self._target.kinematic:
-            self._target.kinematic = False
-            self._target.wake_up()
+        if self.held:
+            self._let_go()
         self._step(0.05, physics.close_rate)
 
     def lift(self) -> Iterator[None]:
@@ -152,21 +176,20 @@ class World:
             q, _ = track_pose(q, T_base_ee)
             self._follow(start, q[0], seconds, physics.lift_rate)
             yield
-        self._panda.drive_arm_velocity(np.zeros(7))
+        self._lead_arm_velocity(np.zeros(7))
         self._step(0.1, physics.lift_rate)
         yield
 
     def _follow(self, start: np.ndarray, end: np.ndarray, seconds: float, rate: int) -> None:
         """Lead the drives from start to end at an even pace, their rate fed forward against the lag."""
-        self._system.timestep = 1.0 / rate
         num_substeps = max(1, round(seconds * rate))
         step = (end - start) / num_substeps
-        self._panda.drive_arm_velocity(step * rate)
+        self._lead_arm_velocity(step * rate)
         for i in range(1, num_substeps + 1):
-            self._panda.drive_arm(start + i * step)
+            self._lead_arm(start + i * step)
             if self._carried is not None:
                 self._carry(i / num_substeps)
-            self._system.step()
+            self._advance(rate)
 
     def _carry(self, share: float) -> None:
         """Move the held target a share of its way, position alone: it arrives turned as it is told to be."""
@@ -174,38 +197,8 @@ class World:
         before, after = self._carried
         pose = after.copy()
         pose[:3, 3] = (1.0 - share) * before[:3, 3] + share * after[:3, 3]
-        self._target.set_kinematic_target(sapien.Pose(pose))
+        self._carry_target(pose)
 
     def _step(self, seconds: float, rate: int) -> None:
-        self._system.timestep = 1.0 / rate
         for _ in range(max(1, round(seconds * rate))):
-            self._system.step()
-
-
-def build_target(
-    scene: sapien.Scene,
-    target: GraspObject,
-    T_base_object: np.ndarray,
-    physics: Physics,
-    material: sapien.physx.PhysxMaterial,
-) -> sapien.physx.PhysxRigidDynamicComponent:
-    """Add an object to a scene: convex parts, the mass that all objects share, damping."""
-    body = sapien.physx.PhysxRigidDynamicComponent()
-    for part in target.parts:
-        shape = sapien.physx.PhysxCollisionShapeConvexMesh(vertices=part, scale=[1, 1, 1], material=material)
-        shape.density = 1000.0
-        shape.patch_radius = 0.1
-        body.attach(shape)
-    # PhysX's inertia at a density of 1000, brought to the wanted mass.
-    scale = physics.mass / body.mass
-    inertia = (np.asarray(body.inertia) * scale).tolist()
-    body.mass = physics.mass
-    body.inertia = inertia
-    body.linear_damping = physics.linear_damping
-    body.angular_damping = physics.angular_damping
-    entity = sapien.Entity()
-    entity.name = target.name
-    entity.add_component(body)
-    entity.pose = sapien.Pose(T_base_object)
-    scene.add_entity(entity)
-    return body
+            self._advance(rate)

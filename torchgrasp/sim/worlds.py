@@ -1,6 +1,6 @@
 """N worlds as one object with batched reads and writes.
 
-The seam behind which another physics backend can stand: nothing outside sim/ sees a single world.
+The seam behind which the engines stand: nothing outside sim/ sees a single world.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import numpy as np
 
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.camera import Camera, View
+from torchgrasp.sim.engine import Engine
+from torchgrasp.sim.engines import EngineName, make_engine
 from torchgrasp.sim.world import Placement, World
 
 
@@ -20,13 +22,16 @@ class Worlds:
 
     Args:
         num_worlds: N.
+        engine: whose physics moves them: ``sapien``, ``mujoco``, or an engine itself.
 
     Attributes:
+        engine: the same, as an `Engine`.
         watcher: called with a world's row after its fingers closed and at each stage of its lift, between
             which nothing is observed; how films show them.
     """
 
-    def __init__(self, num_worlds: int) -> None:
+    def __init__(self, num_worlds: int, *, engine: Engine | EngineName = "sapien") -> None:
+        self.engine = make_engine(engine)
         self._worlds: list[World | None] = [None] * num_worlds
         self.watcher: Callable[[int], None] | None = None
         self._joints, self._joint_velocities = np.zeros((2, num_worlds, 9))
@@ -37,7 +42,7 @@ class Worlds:
 
     def place(self, row: int, placement: Placement) -> None:
         """Begin an episode in world `row`, the arm at rest."""
-        self._worlds[row] = World(placement)
+        self._worlds[row] = self.engine.build(placement)
         self._read([row])
 
     def _placed(self) -> list[World]:

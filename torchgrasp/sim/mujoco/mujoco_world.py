@@ -1,0 +1,121 @@
+"""One MuJoCo scene: a Panda, the table and one target object."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from torchgrasp.errors import TorchgraspError
+from torchgrasp.sim.mujoco._mujoco import mujoco
+from torchgrasp.sim.mujoco.arm_drives import ArmDrives
+from torchgrasp.sim.mujoco.scene_model import Contact, compile_scene
+from torchgrasp.sim.panda_tables import FINGER_OPEN
+from torchgrasp.sim.world import Placement, World
+
+if TYPE_CHECKING:
+    import mujoco as mujoco_types
+
+_ROBOT = 9  # joints of arm and hand, which come first
+
+
+class MujocoWorld(World):
+    """A `World` in MuJoCo.
+
+    A held target is a body that no force moves. To let it go, the scene goes on in a second model, in which
+    it is free.
+
+    Args:
+        placement: how the episode begins.
+        contact: how contacts are solved.
+        substeps: MuJoCo's steps in each physics step.
+    """
+
+    def __init__(self, placement: Placement, contact: Contact, *, substeps: int) -> None:
+        super().__init__(placement)
+        self._contact, self._substeps = contact, substeps
+        self._drives = ArmDrives(placement.q)
+        self._enter(held=placement.held, T_base_object=placement.T_base_object)
+        self._data.qpos[:7], self._data.qpos[7:_ROBOT] = placement.q, FINGER_OPEN
+        self._lead_fingers(FINGER_OPEN)
+
+    def _enter(self, *, held: bool, T_base_object: np.ndarray) -> None:
+        """Begin with fresh data in the model in which the target is held, or free."""
+        scene = compile_scene(self.placement.target, self.placement.physics, self._contact, held=held)
+        self._model: mujoco_types.MjModel = scene.model
+        self._data: mujoco_types.MjData = mujoco.MjData(scene.model)
+        self._T_object_body = scene.T_object_principal
+        self._T_body_object = np.linalg.inv(scene.T_object_principal)
+        self._held = held
+        self._set_pose(T_base_object)
+
+    def _set_pose(self, T_base_object: np.ndarray) -> None:
+        T_base_body = np.asarray(T_base_object, np.float64) @ self._T_object_body
+        turned = np.zeros(4)
+        mujoco.mju_mat2Quat(turned, T_base_body[:3, :3].ravel())
+        if self._held:
+            self._data.mocap_pos[0], self._data.mocap_quat[0] = T_base_body[:3, 3], turned
+        else:
+            self._data.qpos[_ROBOT : _ROBOT + 3], self._data.qpos[_ROBOT + 3 :] = T_base_body[:3, 3], turned
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(9,) arm angles and finger positions."""
+        return self._data.qpos[:_ROBOT].copy()
+
+    @property
+    def joint_velocities(self) -> np.ndarray:
+        """(9,) rates of `joints`."""
+        return self._data.qvel[:_ROBOT].copy()
+
+    @property
+    def T_base_object(self) -> np.ndarray:
+        """(4, 4) pose of the target."""
+        data, turned = self._data, np.empty(9)
+        place = data.mocap_pos[0] if self._held else data.qpos[_ROBOT : _ROBOT + 3]
+        mujoco.mju_quat2Mat(turned, data.mocap_quat[0] if self._held else data.qpos[_ROBOT + 3 :])
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turned.reshape(3, 3), place
+        return pose @ self._T_body_object
+
+    @property
+    def held(self) -> bool:
+        """Whether the target stands where it is put."""
+        return self._held
+
+    def _build_again(self, placement: Placement) -> World:
+        return MujocoWorld(placement, self._contact, substeps=self._substeps)
+
+    def _lead_arm(self, q: np.ndarray) -> None:
+        self._drives.q = q
+
+    def _lead_arm_velocity(self, rate: np.ndarray) -> None:
+        self._drives.rate = rate
+
+    def _lead_fingers(self, opening: float) -> None:
+        self._data.ctrl[7:] = opening
+
+    def _put_target(self, T_base_object: np.ndarray) -> None:
+        self._set_pose(T_base_object)
+        self._data.qvel[_ROBOT:] = 0.0
+
+    def _carry_target(self, T_base_object: np.ndarray) -> None:
+        self._set_pose(T_base_object)
+
+    def _let_go(self) -> None:
+        before, T_base_object = self._data, self.T_base_object
+        self._enter(held=False, T_base_object=T_base_object)
+        for name in ("qpos", "qvel", "qacc_warmstart"):
+            getattr(self._data, name)[:_ROBOT] = getattr(before, name)[:_ROBOT]
+        self._data.ctrl[:] = before.ctrl
+
+    def _advance(self, rate: int) -> None:
+        self._model.opt.timestep = 1.0 / (rate * self._substeps)
+        data, before = self._data, self._data.time
+        for _ in range(self._substeps):
+            data.ctrl[:7] = self._drives.control(data.qpos[:7], data.qvel[:7])
+            mujoco.mj_step(self._model, data)
+        if data.time <= before:
+            raise TorchgraspError(
+                "MuJoCo became unstable and began anew: raise the engine's `substeps`, or the physics' rates."
+            )
