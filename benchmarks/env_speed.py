@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import EnvBase
@@ -19,10 +21,11 @@ from torchgrasp.runs import Stopwatch
 from torchgrasp.sim import probe_renderer
 
 _RENDER = {"camera": {"_target_": "torchgrasp.sim.RenderCamera"}}
+_MUJOCO = {"engine": {"_target_": "torchgrasp.sim.MujocoEngine"}}
 
 
 def benchmark_env(cfg: DictConfig) -> dict:
-    """The environment with point clouds: one world, a batch, rendered, and a peer where one is given."""
+    """The environment with point clouds: one world, a batch, the other engine, rendered, and a given peer."""
     if cfg.peer_python is not None and shutil.which(cfg.peer_python) is None:
         raise ConfigError(
             f"peer_python={cfg.peer_python} is no program: name a Python with mani-skill installed."
@@ -30,6 +33,10 @@ def benchmark_env(cfg: DictConfig) -> dict:
     rows = {"one world": measure_steps(cfg, episodes=cfg.episodes)}
     batch = OmegaConf.merge(cfg, {"env": {"num_envs": cfg.batch}})
     rows[f"{cfg.batch} worlds"] = measure_steps(batch, episodes=max(1, cfg.episodes // cfg.batch))  # pyright: ignore
+    if find_spec("mujoco") is not None:
+        other: Any = OmegaConf.merge(cfg, _MUJOCO)
+        rows["one world, MuJoCo"] = row = measure_steps(other, episodes=cfg.episodes)
+        row["ratio_to_one_world"] = row["steps_per_second"] / rows["one world"]["steps_per_second"]
     if probe_renderer().ok:
         rendered = OmegaConf.merge(cfg, _RENDER)
         rows["one world, rendered"] = measure_steps(rendered, episodes=max(1, cfg.episodes // 5))  # pyright: ignore

@@ -66,7 +66,7 @@ WITHOUT = {
     "objectives/functional": {"tensordict", "torchrl"},
 }
 # Package -> the folders that alone may import it, recipes and benchmarks aside.
-ONLY_IN = {"sapien": {"sim"}, "hydra": {"config"}, "omegaconf": {"config"}}
+ONLY_IN = {"sapien": {"sim"}, "mujoco": {"sim"}, "hydra": {"config"}, "omegaconf": {"config"}}
 # Scripts beside the package: the packages that they may import, besides Python's own.
 SCRIPTS = {"recipes": {"hydra", "numpy", "omegaconf", "tensordict", "torch", "torchgrasp", "torchrl"}}
 SCRIPTS["benchmarks"] = SCRIPTS["recipes"] | {"gymnasium", "mani_skill", "psutil", "trimesh"}

@@ -224,3 +224,81 @@ def test_a_pen_is_picked_up_by_the_finger_tips(engine):
                     pass
                 held.append(world.T_base_object[2, 3] - pose[2, 3] > LIFTED)
     assert len(held) >= 8 and np.mean(held) >= 0.9
+
+
+def close_on_brick(engine: Engine, brick, **physics) -> float:
+    """Metres that a brick of 6 cm between the fingers rises in lifting."""
+    grasp = posture_at(hand_above(0.5, 0.0, 0.04 + 0.1034))
+    world = make_world(engine, Physics(**physics), brick, pose_at(0.5, 0.0, 0.04), grasp)
+    world.close_fingers()
+    list(world.lift())
+    return float(world.T_base_object[2, 3] - 0.04)
+
+
+def test_fingers_hold_as_much_as_their_friction_and_force_carry(engine, brick):
+    slippery = {"friction": 0.1, "finger_friction": 0.1}  # two fingers of 40 N carry 8 N
+    assert close_on_brick(engine, brick, **slippery, mass=0.3) == pytest.approx(0.15, abs=0.03)
+    assert close_on_brick(engine, brick, **slippery, mass=1.6) < LIFTED
+    assert close_on_brick(engine, brick, mass=1.6) == pytest.approx(0.15, abs=0.03)
+
+
+def test_a_held_target_stands_in_the_air_and_is_carried_where_it_is_told(engine, brick):
+    start, end = pose_at(0.5, 0.3, 0.5), pose_at(0.55, 0.25, 0.45)
+    end[:3, :3] = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    world = make_world(engine, Physics(), brick, start, READY, held=True)
+    world.drive(READY)
+    assert world.held and world.T_base_object == pytest.approx(start, abs=1e-6)
+    world.move_target(end)
+    assert world.T_base_object == pytest.approx(start, abs=1e-6)
+    world.drive(READY)
+    assert world.T_base_object == pytest.approx(end, abs=1e-5)
+
+
+def test_a_held_target_withstands_the_fingers_and_is_let_go_when_they_have_closed(engine, brick):
+    aside = hand_above(0.5, 0.01, 0.5 + 0.1034)  # one finger meets it before the other does
+    world = make_world(engine, Physics(), brick, pose_at(0.5, 0.0, 0.5), posture_at(aside), held=True)
+    world.close_fingers()
+    assert not world.held
+    assert np.abs(world.T_base_object[:3, 3] - (0.5, 0.0, 0.5)).max() < 0.012
+    list(world.lift())
+    assert world.T_base_object[2, 3] == pytest.approx(0.65, abs=0.01)
+    dropped = make_world(engine, Physics(), brick, pose_at(0.5, 0.3, 0.5), READY, held=True)
+    dropped.close_fingers()
+    dropped.drive(READY)
+    dropped.drive(READY)
+    assert dropped.T_base_object[2, 3] < 0.4
+
+
+def test_what_is_not_held_is_put_where_it_is_told_and_lies_at_rest(engine, brick):
+    world = make_world(engine, Physics(), brick, pose_at(0.5, 0.3, 0.3), READY)
+    world.drive(READY)  # it falls
+    world.move_target(pose_at(0.6, -0.3, 0.04))
+    assert world.T_base_object[:3, 3] == pytest.approx([0.6, -0.3, 0.04], abs=1e-6)
+    world.drive(READY)
+    assert world.T_base_object[:3, 3] == pytest.approx([0.6, -0.3, 0.04], abs=5e-4)
+
+
+def test_a_copy_begins_where_its_world_is_and_leaves_it_alone(engine, brick):
+    world = make_world(
+        engine, Physics(), brick, pose_at(0.5, 0.0, 0.04), posture_at(hand_above(0.5, 0.0, 0.3))
+    )
+    world.drive(world.joints[:7] + 0.05)
+    joints, pose = world.joints, world.T_base_object
+    other = world.copy()
+    assert type(other) is type(world)
+    assert other.joints == pytest.approx(joints, abs=5e-5)
+    assert other.T_base_object == pytest.approx(pose, abs=1e-6)
+    other.drive(READY)
+    list(other.lift())
+    assert np.array_equal(world.joints, joints) and np.array_equal(world.T_base_object, pose)
+
+
+def test_tried_last_steps_leave_the_world_as_it_is_and_tell_what_would_be_lifted(engine, brick):
+    grasp = posture_at(hand_above(0.5, 0.0, 0.04 + 0.1034))
+    worlds, untried = Worlds(1, engine=engine), Worlds(1, engine=engine)
+    for each in (worlds, untried):
+        place(each, 0, brick, pose_at(0.5, 0.0, 0.04), grasp)
+    away = posture_at(hand_above(0.5, 0.0, 0.04 + 0.1634))
+    rises = worlds.try_last(0, np.stack((grasp, away)))
+    assert rises == pytest.approx([0.15, 0.0], abs=0.02)
+    assert np.array_equal(worlds.close_and_lift([0]), untried.close_and_lift([0]))

@@ -31,6 +31,8 @@ _IMPORTED = (
     "hydra",
 )
 
+_EXTRAS = ("ycb", "random-urdfs", "acronym", "gym", "mujoco", "minari", "viz", "wandb", "sweeps", "ray")
+
 
 @dataclass(frozen=True)
 class Check:
@@ -108,7 +110,7 @@ def check_extras() -> list[Check]:
     except PackageNotFoundError:
         return []  # check_versions has said that torchgrasp is not installed
     for each in wanted:
-        for extra in ("ycb", "random-urdfs", "acronym", "gym", "minari", "viz", "wandb", "sweeps", "ray"):
+        for extra in _EXTRAS:
             if not each.extras and not _applies(each) and _applies(each, extra):
                 groups.setdefault(extra, []).append(_check_package(each))
     return [

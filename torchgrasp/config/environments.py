@@ -18,7 +18,7 @@ from torchgrasp.geometry import ACTION_SIZE
 from torchgrasp.objects import ObjectSet
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.rollouts import EpisodePool, SerialPool
-from torchgrasp.sim import prepare_resting
+from torchgrasp.sim import make_engine, prepare_resting
 from torchgrasp.sim.control import ActionSpace, make_action_space
 
 # What a learner needs of a step; the camera's pictures stay where they were made.
@@ -63,10 +63,16 @@ def make_split_env(cfg: DictConfig, split: str) -> TransformedEnv:
         if (motion := cfg.evaluation.get("target_motion")) is not None:
             options["target_motion"] = motion
     cameras = {"camera": build(cfg.camera), "overhead": build(cfg.overhead)}
-    # Runs of before there were two engines name none.
-    engine = build(cfg.get("engine")) or "sapien"
-    env: GraspEnv = build(cfg.env, objects=make_objects(cfg, split), engine=engine, **cameras, **options)
+    env: GraspEnv = build(cfg.env, objects=make_objects(cfg, split), **cameras, **options, **_engine(cfg))
     return TransformedEnv(env, make_transforms(cfg.transforms))
+
+
+def _engine(cfg: DictConfig) -> dict[str, DictConfig]:
+    """The engine as an option of the environment; none for runs of before there were two."""
+    if cfg.get("engine") is None:
+        return {}
+    make_engine(build(cfg.engine))  # what is wrong with it is told with its own place
+    return {"engine": cfg.engine}
 
 
 def make_transforms(transforms: DictConfig) -> Compose:

@@ -35,8 +35,8 @@ class MujocoEngine(Engine):
 
     name: ClassVar[str] = "mujoco"
 
-    substeps: int = 4
-    softness: float = 0.01
+    substeps: int = 8
+    softness: float = 0.005
     impedance: tuple[float, float] = (0.95, 0.99)
     impratio: float = 10.0
     noslip_iterations: int = 0
