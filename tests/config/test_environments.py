@@ -11,8 +11,11 @@ from tests.configurations import ROOT
 from tests.objects.acronym_files import write_acronym
 from torchgrasp.config import make_expert, make_pool, make_split_env, observed_shapes, prepare_objects
 from torchgrasp.config.environments import make_objects
+from torchgrasp.config.schema import Training
+from torchgrasp.config.value_checks import check_values
 from torchgrasp.errors import ConfigError, ObjectError
 from torchgrasp.rollouts import ProcessPool, RayPool, SerialPool
+from torchgrasp.sim import MujocoEngine, SapienEngine
 
 IMAGES = ("rgb", "rgbd", "rgbdm")
 POOLS = {"serial": SerialPool, "pool": ProcessPool, "async": ProcessPool, "ray": RayPool}
@@ -154,3 +157,30 @@ def test_a_folder_takes_names_and_may_leave_out_what_cannot_be_used(composed, tm
     cfg = composed("policy=random", *given, "objects.on_error=skip", recipe="evaluate")
     with pytest.warns(UserWarning, match=r"Skipped: .*bad\.obj"):
         assert make_objects(cfg, "test").names == ("box",)
+
+
+def test_the_engine_is_chosen_by_name_and_its_numbers_reach_it(composed):
+    def engine(*given):
+        return make_split_env(composed(*given, *SMALL), "train").base_env.worlds.engine
+
+    assert engine() == SapienEngine()
+    # conf/ and the class say the same.
+    assert engine("engine=mujoco") == MujocoEngine()
+    assert engine("engine=mujoco", "engine.substeps=3").substeps == 3
+    with pytest.raises(ConfigError, match=r"^engine\.condim=5 is unknown"):
+        engine("engine=mujoco", "engine.condim=5")
+
+
+def test_a_configuration_of_before_there_were_engines_means_the_first(composed):
+    cfg = composed(*SMALL)
+    del cfg["engine"]
+    check_values(cfg, Training)
+    assert make_split_env(cfg, "test").base_env.worlds.engine == SapienEngine()
+
+
+def test_what_is_no_engine_is_refused_before_a_run_begins(composed):
+    for wrong in ("mujoco", {"_target_": "torchgrasp.sim.RaycastCamera"}):
+        cfg = composed(*SMALL)
+        cfg.engine = wrong
+        with pytest.raises(ConfigError, match="engine"):
+            check_values(cfg, Training)

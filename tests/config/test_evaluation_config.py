@@ -113,3 +113,10 @@ def test_a_policy_of_the_overhead_camera_follows_that_one(on_command_line, untra
 def test_what_cannot_be_is_refused_by_name(composed, overrides, told):
     with pytest.raises(ConfigError, match=told):
         evaluation_config(composed(*overrides, recipe="evaluate"))
+
+
+def test_a_trained_policy_is_scored_in_the_engine_that_is_given(on_command_line, untrained):
+    policy = f"policy={untrained('engine=mujoco')}"
+    for given, name in (([], "SapienEngine"), (["engine=mujoco"], "MujocoEngine")):
+        cfg = evaluation_config(on_command_line(policy, *given, recipe="evaluate"))
+        assert cfg.engine._target_ == f"torchgrasp.sim.{name}"

@@ -48,6 +48,18 @@ def test_a_collection_goes_on_only_as_it_was_begun(described, tmp_path):
         check_same_collection(described(), tmp_path, {"provenance": {"imported_from": "minari"}})
 
 
+def test_a_collection_goes_on_in_the_engine_that_it_was_begun_in(described, tmp_path):
+    begun = {"provenance": described("engine=mujoco")}
+    check_same_collection(described("engine=mujoco"), tmp_path, begun)
+    for given in (["engine=sapien"], ["engine=mujoco", "engine.substeps=3"]):
+        with pytest.raises(ConfigError, match="another engine"):
+            check_same_collection(described(*given), tmp_path, begun)
+    older = {"provenance": {name: each for name, each in described().items() if name != "engine"}}
+    check_same_collection(described(), tmp_path, older)
+    with pytest.raises(ConfigError, match="another engine"):
+        check_same_collection(described("engine=mujoco"), tmp_path, older)
+
+
 def test_training_takes_another_seed_but_no_other_observations(described, tmp_path):
     card = {"provenance": described()}
     check_usable(described("seed=5", "objects.num_objects=9"), tmp_path, card)

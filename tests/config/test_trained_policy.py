@@ -44,3 +44,9 @@ def test_misuse_is_told(tmp_path):
         torchgrasp.load_policy("nobody")
     with pytest.raises(ConfigError, match=r"holds no weights\.safetensors"):
         torchgrasp.load_policy(tmp_path)
+
+
+def test_it_stands_in_the_other_physics_as_well(policy):
+    env = torchgrasp.make_env(policy, objects=OBJECTS, num_envs=4, seed=5, engine="mujoco")
+    steps = env.rollout(env.horizon, policy)
+    assert env.base_env.worlds.engine.name == "mujoco" and steps["next", "reward"].sum() >= 2

@@ -220,3 +220,37 @@ def test_torchrls_reward_transforms_take_the_reward():
     steps = env.rollout(3)
     assert steps["next", "reward"].unique().tolist() == [0.5]
     assert steps["next", "episode_reward"][0, :, 0].tolist() == [0.5, 1.0, 1.5]
+
+
+def test_the_specs_hold_in_mujoco():
+    env = make_env(2, engine="mujoco", horizon=2)
+    assert env.worlds.engine.name == "mujoco"
+    check_env_specs(env, break_when_any_done="both")
+
+
+def test_an_engine_that_is_unknown_is_refused():
+    with pytest.raises(ConfigError, match="engine='bullet' is unknown: give sapien or mujoco"):
+        make_env(engine="bullet")
+
+
+def test_both_engines_have_the_same_scenes_and_move_on_by_themselves():
+    one, other = make_env(3, engine="sapien"), make_env(3, engine="mujoco")
+    first, second = one.reset(), other.reset()
+    for key in ("T_base_object", "T_base_ee", ("camera", "depth"), ("camera", "mask")):
+        torch.testing.assert_close(first[key], second[key], atol=1e-5, rtol=1e-5)
+    actions = torch.tensor([0.02, 0.0, 0.02, 0.0, 0.1, 0.0]).expand(3, 2, 6)
+    one, other = play(one, actions), play(other, actions)
+    apart = one["next", "T_base_ee"] - other["next", "T_base_ee"]
+    assert 0.0 < apart.abs().max() < 5e-3
+
+
+def test_an_episode_in_mujoco_depends_on_seed_and_number_alone():
+    actions = torch.rand(4, 5, 6, generator=torch.Generator().manual_seed(0)) * 0.1 - 0.05
+    among = play(make_env(4, engine="mujoco"), actions)
+    used = make_env(1, engine="mujoco", first_world=2)
+    used.rollout(5)
+    used.set_seed(0)
+    for env in (used, make_env(1, engine="mujoco", first_world=2)):
+        alone = play(env, actions[2:3])
+        for key in ("joints", "T_base_object", ("camera", "depth"), "reward"):
+            assert torch.equal(alone["next", key][0], among["next", key][2])
