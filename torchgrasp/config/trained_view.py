@@ -61,10 +61,42 @@ def training_focal(policy: TrainedPolicy) -> float:
     return float(CameraIntrinsics(**options).focal.min())
 
 
+def check_action_space(policy: TrainedPolicy) -> None:
+    """Refuse a policy whose actions are no poses of the hand.
+
+    Raises:
+        ConfigError: where it was trained with `joint_delta` or `joint_velocity`.
+    """
+    name = policy.config["env"].get("action_space", "ee_delta")
+    if name != "ee_delta":
+        raise ConfigError(
+            f"policy was trained with action_space={name}, which moves a Panda's joints and tells no hand "
+            "pose: give one of action_space=ee_delta."
+        )
+
+
+def choose_transforms(policy: TrainedPolicy) -> list[tuple[type, dict[str, Any]]]:
+    """Class and configuration of each transform that makes what a policy reads, in their order.
+
+    Left out are those that make a simulated sensor err, and those whose results nothing reads.
+    """
+    nodes = [(get_class(node["_target_"]), dict(node)) for node in policy.config["transforms"].values()]
+    wanted, kept = set(policy.in_keys), []
+    for made, node in reversed(nodes):
+        if issubclass(made, PointTransform) and made.simulates_sensor:
+            continue
+        transform = build(OmegaConf.create(node))
+        if transform.out_keys and wanted.isdisjoint(transform.out_keys):
+            continue
+        wanted.update(transform.in_keys)
+        kept.append((made, node))
+    return kept[::-1]
+
+
 def make_view(
     policy: TrainedPolicy, *, intrinsics: CameraIntrinsics | None, table_height: float
 ) -> TrainedView:
-    """The view of a policy: its transforms, but for those that make a simulated sensor err.
+    """The view of a policy: its transforms, as far as they make what it reads (see `choose_transforms`).
 
     Args:
         policy: of `load_policy`.
@@ -73,15 +105,12 @@ def make_view(
     """
     lens = None if intrinsics is None else describe_lens(intrinsics)
     kept = []
-    for node in policy.config["transforms"].values():
-        made = get_class(node["_target_"])
-        if issubclass(made, PointTransform) and made.simulates_sensor:
-            continue
+    for made, options in choose_transforms(policy):
         if lens is None and issubclass(made, DepthToPoints):
             continue
-        options = {name: value for name, value in node.items() if name != "fov"}
         takes = inspect.signature(made).parameters
         if "intrinsics" in takes:
+            options.pop("fov", None)
             options["intrinsics"] = lens
         if lens is None and "carve" in takes:
             options["carve"] = None  # no picture shows what is looked through
