@@ -54,11 +54,10 @@ def _told(key: Any) -> str:
     return f"{name} (no camera of the arm's hand shows it)" if key[0] == "overhead" else name
 
 
-def training_focal(policy: TrainedPolicy) -> float:
-    """Focal length, in pixels, of the camera that a policy was trained with."""
+def training_lens(policy: TrainedPolicy) -> CameraIntrinsics:
+    """The intrinsics of the wrist camera that a policy was trained with."""
     theirs = policy.config["camera"].get("intrinsics") or {}
-    options = {name: value for name, value in theirs.items() if name != "_target_"}
-    return float(CameraIntrinsics(**options).focal.min())
+    return CameraIntrinsics(**{name: value for name, value in theirs.items() if name != "_target_"})
 
 
 def check_action_space(policy: TrainedPolicy) -> None:

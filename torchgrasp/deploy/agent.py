@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchgrasp import keys
 from torchgrasp.config.trained_policy import TrainedPolicy, load_policy
-from torchgrasp.config.trained_view import check_action_space, make_view, training_focal
+from torchgrasp.config.trained_view import check_action_space, make_view, training_lens
 from torchgrasp.deploy.arguments import each_arm, read_ages, read_arms, read_poses, read_rows
 from torchgrasp.deploy.arm_episode import ArmEpisode
 from torchgrasp.deploy.command import GraspCommand
@@ -117,7 +117,7 @@ class GraspAgent:
         self._static_camera = None if T_base_camera is None else read_poses("T_base_camera", T_base_camera)
         self.intrinsics, self._thin = intrinsics, 1
         if intrinsics is not None:
-            self._thin = _choose_thin(intrinsics, training_focal(trained)) if thin is None else thin
+            self._thin = _choose_thin(intrinsics, training_lens(trained)) if thin is None else thin
             check_whole("thin", self._thin, 1, min(intrinsics.width, intrinsics.height))
         seen = None if intrinsics is None else intrinsics.thin_out(self._thin)
         self._arms = [
@@ -237,7 +237,7 @@ class GraspAgent:
                 "Nothing tells where the camera is: give T_ee_camera or T_base_camera to GraspAgent, or "
                 "T_base_camera to each act."
             )
-        told = (each_arm(name, each, self.num_arms) for name, each in (("depth", depth), ("mask", mask)))
+        told: Any = (each_arm(name, each, self.num_arms) for name, each in (("depth", depth), ("mask", mask)))
         options: Any = {"thin": self._thin, "holes_are_empty": self.holes_are_empty}
         return [read_picture(*each, self.intrinsics, **options) for each in zip(*told, strict=True)]
 
@@ -282,9 +282,9 @@ def _on_device(policy: TrainedPolicy, device: torch.device) -> TrainedPolicy:
     return policy if there else deepcopy(policy).to(device)
 
 
-def _choose_thin(intrinsics: CameraIntrinsics, focal: float) -> int:
-    """For pixels at least twice as fine as those of a camera of that focal length."""
-    return max(1, int(float(intrinsics.focal.min()) / (2 * focal)))
+def _choose_thin(intrinsics: CameraIntrinsics, training: CameraIntrinsics) -> int:
+    """For pixels at least twice as fine as those of training."""
+    return max(1, int(float(intrinsics.focal.min()) / (2 * float(training.focal.min()))))
 
 
 def _step_towards(T_base_target: np.ndarray | None, T_base_ee: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, forward_kinemati
 
 _FINGERS_OPEN = 0.04  # metres, of each finger
 # Radians: as far as the joints of a Panda or of an FR3 turn (franka_description), and a little more.
-_LOWEST = np.minimum(JOINT_LOWER, (-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159)) - 0.05
-_HIGHEST = np.maximum(JOINT_UPPER, (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)) + 0.05
+LOWEST = np.minimum(JOINT_LOWER, (-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159)) - 0.05
+HIGHEST = np.maximum(JOINT_UPPER, (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)) + 0.05
 
 
 def read_array(name: str, value: Any) -> np.ndarray:
@@ -82,7 +82,7 @@ def read_arms(
 
 def _check_reach(q: np.ndarray) -> None:
     """Refuse angles (N, 7) that no such arm can have: degrees, another arm's, or none that were read."""
-    outside = np.argwhere((q < _LOWEST) | (q > _HIGHEST))
+    outside = np.argwhere((q < LOWEST) | (q > HIGHEST))
     if len(outside):
         row, joint = outside[0]
         raise ConfigError(

@@ -56,6 +56,11 @@ def hand_blocked(
     return blocked
 
 
+def hand_boxes() -> list[tuple[float, float, float, float]]:
+    """The open hand's boxes as `lowest_point` counts them: half x, outer y, rear z, front z, metres."""
+    return [(half_x, outer, rear, front) for half_x, _, outer, rear, front in _BOXES]
+
+
 def clear_of_table(
     T_world_ee: NDArray, *, approach: float = 0.08, margin: float = 0.005
 ) -> NDArray[np.bool_]:

@@ -40,13 +40,19 @@ def _rotation_x(angle: float) -> Array:
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
+def joint_frames() -> Array:
+    """(7, 4, 4) pose of each joint, at angle 0, in the link before it; joints turn about their z."""
+    frames = np.tile(np.eye(4), (7, 1, 1))
+    for frame, (xyz, roll) in zip(frames, JOINT_ORIGINS, strict=True):
+        frame[:3, :3], frame[:3, 3] = _rotation_x(roll), xyz
+    return frames
+
+
 @functools.cache
 def _joint_terms() -> tuple[Array, Array, Array]:
     """(7, 4, 4) each: C, S, K with which joint i's transform is cos(q_i) C_i + sin(q_i) S_i + K_i."""
     cosine, sine, constant = np.zeros((3, 7, 4, 4))
-    for i, (xyz, roll) in enumerate(JOINT_ORIGINS):
-        frame = np.eye(4)
-        frame[:3, :3], frame[:3, 3] = _rotation_x(roll), xyz
+    for i, frame in enumerate(joint_frames()):
         cosine[i, :, :2] = frame[:, :2]
         sine[i, :, 0], sine[i, :, 1] = frame[:, 1], -frame[:, 0]
         constant[i, :, 2:] = frame[:, 2:]
