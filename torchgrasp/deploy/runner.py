@@ -102,7 +102,7 @@ class _Draws:
         self._key = (*words, zlib.crc32(purpose.encode()))
 
     def __call__(self, moment: dict[str, Any]) -> np.random.Generator:
-        ticks = max(0, int(np.rint(np.float32(moment["time_left"]) * _TICKS)))
+        ticks = max(0, int(np.rint(moment["time_left"][0] * _TICKS)))
         stream = (0, moment["episode"], ticks)  # of world 0
         return np.random.default_rng(np.array((*self._key, *stream), dtype=np.uint32))
 
@@ -235,8 +235,6 @@ class _WristAngle:
         """It remembers nothing."""
 
     def __call__(self, seen: dict[str, Any]) -> None:
-        if "joints" not in seen:
-            raise PolicyError("The policy needs joints, which were not given.")
         seen["wrist_angle"] = seen["joints"][6:7]
 
 
@@ -372,6 +370,8 @@ class GraspPolicy:
     def _read_arm(self, joints: Any, T_base_ee: Any) -> tuple[dict[str, Any], np.ndarray]:
         if joints is None and T_base_ee is None:
             raise PolicyError("joints and T_base_ee are both missing: give one, from the same moment.")
+        if joints is None and "wrist_angle" in self.settings["inputs"]:
+            raise PolicyError("The policy needs joints, which were not given.")
         seen: dict[str, Any] = {}
         if joints is not None:
             q = _read_numbers("joints", joints)
