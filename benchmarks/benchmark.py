@@ -15,6 +15,7 @@ from critics import benchmark_critics
 from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
+from exported_policy import benchmark_export
 from grasp_agent import benchmark_agent
 from learner_updates import benchmark_learner
 from neighbours import benchmark_neighbours
@@ -44,6 +45,7 @@ _SUITES = {
     "scale": benchmark_scale,
     "critics": benchmark_critics,
     "agent": benchmark_agent,
+    "export": benchmark_export,
 }
 # Those that step the environment of this configuration.
 _WITH_OBJECTS = ("env", "resets", "planner")

@@ -85,6 +85,14 @@ class Agent(OpenSection):
     scenes: Positive
 
 
+class Export(OpenSection):
+    """Of the suite `export`."""
+
+    policy: str
+    objects: Positive
+    states: Positive
+
+
 class Workers(OpenSection):
     """Who prepares objects."""
 
@@ -110,5 +118,6 @@ class Benchmark(OpenSection):
     scale: Scale
     critics: Critics
     agent: Agent
+    export: Export
     env: Env
     collector: Workers

@@ -69,7 +69,7 @@ WITHOUT = {
 ONLY_IN = {"sapien": {"sim"}, "mujoco": {"sim"}, "hydra": {"config"}, "omegaconf": {"config"}}
 # Scripts beside the package: the packages that they may import, besides Python's own.
 SCRIPTS = {"recipes": {"hydra", "numpy", "omegaconf", "tensordict", "torch", "torchgrasp", "torchrl"}}
-SCRIPTS["benchmarks"] = SCRIPTS["recipes"] | {"gymnasium", "mani_skill", "psutil", "trimesh"}
+SCRIPTS["benchmarks"] = SCRIPTS["recipes"] | {"gymnasium", "mani_skill", "onnxruntime", "psutil", "trimesh"}
 # The part that takes a configuration apart: elsewhere no parameter is named `cfg`.
 SEES_CFG = "config"
 

@@ -31,7 +31,19 @@ _IMPORTED = (
     "hydra",
 )
 
-_EXTRAS = ("ycb", "random-urdfs", "acronym", "gym", "mujoco", "minari", "viz", "wandb", "sweeps", "ray")
+_EXTRAS = (
+    "ycb",
+    "random-urdfs",
+    "acronym",
+    "gym",
+    "mujoco",
+    "export",
+    "minari",
+    "viz",
+    "wandb",
+    "sweeps",
+    "ray",
+)
 
 
 @dataclass(frozen=True)
