@@ -52,7 +52,7 @@ ALLOWED["evaluation"] = {"objects", "sim", "envs", "planning", "modules", "objec
 ALLOWED["evaluation"] |= {"rollouts", "runs"}
 ALLOWED["report"] = ALLOWED["evaluation"] | {"evaluation"}
 ALLOWED["config"] = set(ALLOWED)
-ALLOWED["deploy"] = {"config", "objects", "sim"}
+ALLOWED["deploy"] = {"config", "objects", "sim", "transforms"}
 ALLOWED["commands"] = set(ALLOWED)
 ALLOWED["__main__"] = {"commands", "config"}
 # What is imported for annotations alone may be more: who runs episodes hands them to a learner.

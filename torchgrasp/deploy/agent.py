@@ -237,9 +237,11 @@ class GraspAgent:
                 "Nothing tells where the camera is: give T_ee_camera or T_base_camera to GraspAgent, or "
                 "T_base_camera to each act."
             )
-        told: Any = (each_arm(name, each, self.num_arms) for name, each in (("depth", depth), ("mask", mask)))
+        pictures = zip(
+            each_arm("depth", depth, self.num_arms), each_arm("mask", mask, self.num_arms), strict=True
+        )
         options: Any = {"thin": self._thin, "holes_are_empty": self.holes_are_empty}
-        return [read_picture(*each, self.intrinsics, **options) for each in zip(*told, strict=True)]
+        return [read_picture(*each, self.intrinsics, **options) for each in pictures]
 
     def _find_problem(self, arm: ArmEpisode, sight: Sight, age: float) -> str | None:
         if arm.over:

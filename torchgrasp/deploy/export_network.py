@@ -112,7 +112,7 @@ def write_onnx(policy: TrainedPolicy, file: Path) -> None:
     onnx, runtime = (import_export(name) for name in ("onnx", "onnxruntime"))
     import_export("onnxscript")
     program = trace_network(policy)
-    names = {"input_names": list_inputs(policy), "output_names": list_outputs(policy)}
+    names: Any = {"input_names": list_inputs(policy), "output_names": list_outputs(policy)}
     try:
         with _quiet():
             written: Any = torch.onnx.export(program, dynamo=True, verbose=False, **names)

@@ -345,9 +345,9 @@ class GraspPolicy:
             problem = "no point of the target has been seen yet"
         if problem is not None:
             return Step(hand, np.zeros(6, np.float32), False, np.full((4, 4), np.nan), 0, problem)
-        left = np.float32(1.0 - self.steps / self.horizon)
+        left = np.array([1.0 - self.steps / self.horizon], dtype=np.float32)
         seen |= {"depth": depth, "mask": mask, "T_base_camera": camera.astype(np.float32)}
-        seen |= {"time_left": left[None], "episode": self._episode}
+        seen |= {"time_left": left, "episode": self._episode}
         return self._step(seen, hand, shows_target=bool(mask.any()))
 
     def _step(self, seen: dict[str, Any], hand: np.ndarray, *, shows_target: bool) -> Step:
