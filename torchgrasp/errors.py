@@ -55,6 +55,19 @@ class PictureError(TorchgraspError):
     """A camera's picture that a policy cannot use; the next one may be better."""
 
 
+class StopError(TorchgraspError):
+    """An arm that has to stop, or has stopped by itself.
+
+    Args:
+        cause: in a word: ``picture``, ``late``, ``limits``, ``reflex``, ``robot`` or ``interrupted``.
+        reason: in a sentence.
+    """
+
+    def __init__(self, cause: str, reason: str) -> None:
+        super().__init__(reason)
+        self.cause = cause
+
+
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
 

@@ -1,0 +1,44 @@
+"""What an arm is to the loop: a few verbs, whichever robot stands behind them."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+
+class Arm(Protocol):
+    """An arm with a gripper. Every verb may raise StopError: the arm has stopped, and says why."""
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(7,) angles, rad."""
+        ...
+
+    @property
+    def width(self) -> float:
+        """Metres between the fingers; NaN where nobody knows."""
+        ...
+
+    def follow(self, T_base_ee: np.ndarray) -> None:
+        """Set out for a hand pose (4, 4), in place of the one before; returns at once.
+
+        The motion ends there at rest: an arm that is told nothing more stands still.
+        """
+        ...
+
+    def go(self, T_base_ee: np.ndarray) -> None:
+        """Move the hand slowly and straight to a pose (4, 4); returns when it is there."""
+        ...
+
+    def grasp(self, force: float) -> None:
+        """Wait until the hand has arrived, then close the fingers with a force in newtons."""
+        ...
+
+    def open(self) -> None:
+        """Open the fingers."""
+        ...
+
+    def stop(self) -> None:
+        """Come to rest at once, whatever is under way; raises nothing."""
+        ...

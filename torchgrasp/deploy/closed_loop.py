@@ -1,0 +1,177 @@
+"""One grasp by an arm: pictures in, hand poses out, then close, lift, and tell what is held."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from torchgrasp.deploy.arm import Arm
+from torchgrasp.deploy.command import GraspCommand
+from torchgrasp.deploy.depth_camera import DepthCamera
+from torchgrasp.deploy.limits import ArmLimits
+from torchgrasp.errors import StopError, check_range, check_whole
+from torchgrasp.sim.kinematics import forward_kinematics
+
+_NAP = 0.0005  # seconds; shorter than a loop can be late without harm
+
+
+@dataclass(frozen=True)
+class GraspOutcome:
+    """How a grasp ended.
+
+    Attributes:
+        held: whether something is between the fingers after the lift, told from their distance.
+        width: metres between the fingers then; NaN where the arm did not come so far.
+        steps: commands that were followed.
+        cause: why the arm was stopped, in a word as in `StopError`; None where it was not.
+        reason: the same in a sentence.
+    """
+
+    held: bool
+    width: float
+    steps: int
+    cause: str | None = None
+    reason: str = ""
+
+
+class ClosedLoop:
+    """Drives an arm by an agent's commands, 6.7 times a second.
+
+    In each control period the camera is read, the agent asked, and its pose held against the limits, in this
+    order, before the arm sets out for it. The arm is stopped, and `run` says why, where
+
+    - the picture is old, or cannot be used several times in a row (``picture``),
+    - the command comes too late after its period began (``late``),
+    - the arm stands, or would stand, outside the limits (``limits``),
+    - the robot has stopped by itself (``reflex``) or does not answer (``robot``),
+    - ctrl-C is pressed (``interrupted``).
+
+    A motion ends at rest, so that an arm whose loop hangs stands still within a period.
+
+    Args:
+        arm: FrankaArm, DryArm or another `Arm`.
+        agent: GraspAgent of one arm, with the camera's intrinsics and pose.
+        camera: a `DepthCamera`.
+        limits: of the arm.
+        period: seconds of a control period; that of training is 0.15.
+        watchdog: seconds that a command may be late.
+        max_age: seconds that a picture may be old.
+        patience: pictures in a row that the agent cannot use.
+        force: of the fingers, N.
+        lift_height: metres.
+        min_width: metres between the fingers above which something is held.
+        clock: seconds, the same as that of the pictures.
+        tell: is told each command with the number of its step, for a log.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        agent: Any,
+        camera: DepthCamera,
+        *,
+        limits: ArmLimits | None = None,
+        period: float = 0.15,
+        watchdog: float = 0.1,
+        max_age: float = 0.2,
+        patience: int = 7,
+        force: float = 30.0,
+        lift_height: float = 0.15,
+        min_width: float = 0.001,
+        clock: Callable[[], float] = time.monotonic,
+        tell: Callable[[int, GraspCommand], object] | None = None,
+    ) -> None:
+        for name, value in (("period", period), ("watchdog", watchdog), ("max_age", max_age)):
+            check_range(name, value, 0.0, 60.0, open_low=True)
+        check_range("force", force, 0.0, 140.0, open_low=True)  # a Franka hand's most
+        check_range("lift_height", lift_height, 0.0, 1.0)
+        check_range("min_width", min_width, 0.0, 0.08)
+        check_whole("patience", patience, 1)
+        self.arm, self.agent, self.camera = arm, agent, camera
+        self.limits = limits or ArmLimits()
+        self._period, self._watchdog, self._max_age, self._patience = period, watchdog, max_age, patience
+        self._force, self._lift_height, self._min_width = force, lift_height, min_width
+        self._clock, self._tell = clock, tell
+        self._steps = 0
+
+    def run(self) -> GraspOutcome:
+        """Grasp once: reset the agent, approach, close, lift, look at the fingers' distance."""
+        self._steps = 0
+        try:
+            return self._grasp()
+        except StopError as error:
+            self.arm.stop()
+            return self._stopped(error.cause, str(error))
+        except KeyboardInterrupt:
+            self.arm.stop()
+            return self._stopped("interrupted", "ctrl-C")
+        except BaseException:
+            self.arm.stop()
+            raise
+
+    def _stopped(self, cause: str, reason: str) -> GraspOutcome:
+        return GraspOutcome(False, float("nan"), self._steps, cause, reason)
+
+    def _grasp(self) -> GraspOutcome:
+        self.agent.reset()
+        hand = self._find_hand()
+        self.limits.check_pose(hand)
+        self.arm.open()
+        self._approach()
+        self.arm.grasp(self._force)
+        hand = self._find_hand()
+        hand[2, 3] = min(hand[2, 3] + self._lift_height, self.limits.workspace[1][2])
+        self.arm.go(hand)
+        width = self.arm.width
+        return GraspOutcome(width > self._min_width, width, self._steps)
+
+    def _find_hand(self) -> np.ndarray:
+        """(4, 4) pose of the hand, of an arm whose joints are within their limits."""
+        joints = self.arm.joints
+        self.limits.check_joints(joints)
+        return forward_kinematics(joints[None])[0]
+
+    def _approach(self) -> None:
+        """Follow the agent until it says that the fingers close."""
+        unused, due = 0, self._clock()
+        while True:
+            self._wait_until(due)
+            hand, command = self._look()
+            if command.problem is not None:
+                unused += 1
+                if unused >= self._patience:
+                    raise StopError("picture", f"{command.problem}, {unused} times in a row")
+            else:
+                unused = 0
+            target = self.limits.shorten(hand, command.T_base_ee, self._period)
+            self.limits.check_pose(target)
+            # The first pass of a network takes longer than those after it; the arm still stands then.
+            if self._steps and (late := self._clock() - due) > self._watchdog:
+                raise StopError("late", f"the command came {late:.3f} s late, more than {self._watchdog:g}")
+            self.arm.follow(target)
+            self._steps += 1
+            if self._tell is not None:
+                self._tell(self._steps, command)
+            if command.close:
+                return
+            due = max(due + self._period, self._clock())
+
+    def _look(self) -> tuple[np.ndarray, GraspCommand]:
+        """The hand's (4, 4) pose when the picture was taken, and what the agent makes of it."""
+        picture = self.camera.read()
+        joints = self.arm.joints
+        self.limits.check_joints(joints)
+        age = self._clock() - picture.time
+        if age > self._max_age:
+            raise StopError("picture", f"the picture is {age:.2f} s old, more than {self._max_age:g}")
+        hand = forward_kinematics(joints[None])[0]
+        command = self.agent.act(picture.depth, picture.mask, joints=joints, age=max(age, 0.0))
+        return hand, command
+
+    def _wait_until(self, due: float) -> None:
+        while self._clock() < due:
+            time.sleep(_NAP)
