@@ -16,6 +16,7 @@ from encoder_pass import benchmark_encoder
 from env_speed import benchmark_env
 from expert_comparison import benchmark_planner
 from exported_policy import benchmark_export
+from franka_loop import benchmark_franka
 from grasp_agent import benchmark_agent
 from learner_updates import benchmark_learner
 from neighbours import benchmark_neighbours
@@ -46,6 +47,7 @@ _SUITES = {
     "critics": benchmark_critics,
     "agent": benchmark_agent,
     "export": benchmark_export,
+    "franka": benchmark_franka,
 }
 # Those that step the environment of this configuration.
 _WITH_OBJECTS = ("env", "resets", "planner")

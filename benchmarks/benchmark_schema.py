@@ -93,6 +93,18 @@ class Export(OpenSection):
     states: Positive
 
 
+class Franka(OpenSection):
+    """Of the suite `franka`."""
+
+    policy: str
+    split: Literal["train", "val", "test"]
+    objects: Positive
+    episodes: Positive
+    results: str
+    watchdog: Annotated[float, between(0.001, 60.0)]
+    film: str | None
+
+
 class Workers(OpenSection):
     """Who prepares objects."""
 
@@ -119,5 +131,6 @@ class Benchmark(OpenSection):
     critics: Critics
     agent: Agent
     export: Export
+    franka: Franka
     env: Env
     collector: Workers

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from torchgrasp.deploy.limits import ArmLimits
-from torchgrasp.errors import MissingPackageError, StopError
-from torchgrasp.sim.kinematics import HAND_YAW
+from torchgrasp.errors import ConfigError, MissingPackageError, StopError
+from torchgrasp.sim.kinematics import HAND_YAW, forward_kinematics
 
 _POLL = 0.002  # seconds between two questions whether a motion is over
 _OPEN, _OPENING_SPEED, _CLOSING_SPEED = 0.08, 0.1, 0.1  # m, m/s
 # A grasp may end at any width: what is held is told from the width, not from the gripper's answer.
 _ANY_WIDTH = {"epsilon_inner": 0.1, "epsilon_outer": 0.1}
-# Robot that does not answer any more: seconds.
-_PATIENCE = 20.0
+_SAME_FRAME = 0.01  # metres, and entries of a rotation
+_PATIENCE = 20.0  # seconds that a motion may last
 
 
 class FrankaArm:
@@ -36,6 +36,7 @@ class FrankaArm:
 
     Raises:
         MissingPackageError: without franky.
+        ConfigError: where the robot's hand is not where a Franka's joints put it.
         StopError: where the robot cannot be reached.
     """
 
@@ -55,6 +56,7 @@ class FrankaArm:
             self._robot.translation_velocity_limit.set(self.limits.speed)
             self._robot.rotation_velocity_limit.set(self.limits.turn_rate)
             self._gripper = franky.Gripper(host)
+        self._check_frames()
 
     def __enter__(self) -> FrankaArm:
         return self
@@ -117,11 +119,23 @@ class FrankaArm:
             if not robot.is_in_control:
                 return
             joints = robot.current_control_signal_type == franky.ControlSignalType.JointPositions
-            robot.move(franky.JointStopMotion() if joints else franky.CartesianStopMotion(), asynchronous=True)
+            robot.move(
+                franky.JointStopMotion() if joints else franky.CartesianStopMotion(), asynchronous=True
+            )
             if robot.join_motion(timeout=1.0):
                 return
         with contextlib.suppress(Exception):
             robot.stop()
+
+    def _check_frames(self) -> None:
+        """Refuse a robot whose hand is not where its joints put a Franka's."""
+        there = forward_kinematics(self.joints[None])[0]
+        apart = np.abs(self.T_base_ee - there).max()
+        if apart > _SAME_FRAME:
+            raise ConfigError(
+                f"The robot tells another pose of its hand than a Franka's joints give ({apart:.3f} apart): "
+                "look at F_T_EE and O_T_EE of its state."
+            )
 
     def _set_out(self, T_base_ee: np.ndarray, share: float) -> None:
         franky = self._franky

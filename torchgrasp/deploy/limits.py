@@ -45,7 +45,7 @@ class ArmLimits:
         >>> limits.check_pose(away)
         Traceback (most recent call last):
         ...
-        torchgrasp.errors.StopError: the hand would be at y = 0.600 m, outside of the workspace's -0.400 to 0.400
+        torchgrasp.errors.StopError: the hand would be at y = 0.600 m, outside of the workspace's -0.4 to 0.4
     """
 
     workspace: Bounds = ((0.1, -0.65, 0.0), (0.85, 0.65, 1.0))
@@ -82,8 +82,8 @@ class ArmLimits:
         if not left[worst] >= self.joint_margin:
             raise StopError(
                 "limits",
-                f"joint {worst + 1} at {q[worst]:.3f} rad is near or beyond its limits, {lower[worst]:.3f} to "
-                f"{upper[worst]:.3f}",
+                f"joint {worst + 1} at {q[worst]:.3f} rad is near or beyond its limits, {lower[worst]:.3f} "
+                f"to {upper[worst]:.3f}",
             )
 
     def check_pose(self, T_base_ee: NDArray) -> None:
@@ -92,14 +92,15 @@ class ArmLimits:
             if not low <= place <= high:
                 raise StopError(
                     "limits",
-                    f"the hand would be at {axis} = {place:.3f} m, outside of the workspace's {low:.3f} to "
-                    f"{high:.3f}",
+                    f"the hand would be at {axis} = {place:.3f} m, outside of the workspace's {low:g} to "
+                    f"{high:g}",
                 )
         above = float(lowest_point(T_base_ee)) - self.table_height
         if above < self.clearance:
             raise StopError(
-                "limits", f"the hand would be {1000 * above:.1f} mm above the table, less than the "
-                f"clearance of {1000 * self.clearance:.1f} mm"
+                "limits",
+                f"the hand would be {1000 * above:.1f} mm above the table, less than the "
+                f"clearance of {1000 * self.clearance:.1f} mm",
             )
 
     def shorten(self, T_base_ee: NDArray, T_base_target: NDArray, seconds: float) -> NDArray:

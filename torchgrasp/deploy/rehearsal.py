@@ -13,7 +13,7 @@ import trimesh
 
 from torchgrasp.deploy.depth_camera import Picture
 from torchgrasp.deploy.rehearsal_scene import OBJECT_JOINT, Contact, build_scene, damp_object
-from torchgrasp.errors import ConfigError, MissingPackageError
+from torchgrasp.errors import MissingPackageError
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.camera import Camera, View
 from torchgrasp.sim.kinematics import forward_kinematics
@@ -72,7 +72,7 @@ class Rehearsal:
         *,
         physics: Physics | None = None,
         contact: Contact | None = None,
-        reflex_torque: float = 40.0,
+        reflex_torque: float = 20.0,
     ) -> None:
         franky_sim = _load_franky_sim()
         self.target, self.physics = target, physics or Physics()
@@ -126,6 +126,19 @@ class Rehearsal:
         """Metres that the object is above where it began."""
         return float(self._now.T_base_object[2, 3] - self._start.T_base_object[2, 3])
 
+    @property
+    def model(self) -> Any:
+        """MuJoCo's model of the scene."""
+        return self._simulator.model
+
+    def to_qpos(self, snapshot: Snapshot) -> np.ndarray:
+        """MuJoCo's coordinates of a snapshot."""
+        qpos = np.zeros(self.model.nq)
+        qpos[[*self._robot._qpos_addrs, *self._robot._finger_qpos_addrs]] = snapshot.joints
+        turn = trimesh.transformations.quaternion_from_matrix(snapshot.T_base_object)  # wxyz
+        qpos[self._object : self._object + 7] = (*snapshot.T_base_object[:3, 3], *turn)
+        return qpos
+
     def watch(self, watcher: Callable[[Snapshot], None]) -> None:
         """Have each millisecond told, in the simulation's thread: what is slow there slows the robot."""
         self._watchers.append(watcher)
@@ -156,9 +169,7 @@ class Rehearsal:
             return
         self._torques[:] = 0.0
         server.stop_motion(send_preemption_signal=False)
-        BaseCommand.send_response(
-            server._tcp_socket, RobotCommand.kMove, motion, MoveStatus.kReflexAborted
-        )
+        BaseCommand.send_response(server._tcp_socket, RobotCommand.kMove, motion, MoveStatus.kReflexAborted)
         server.reset_current_motion_id()
 
     def _take_snapshot(self) -> Snapshot:
@@ -195,6 +206,6 @@ def _load_franky_sim() -> Any:
         import franky_sim.mujoco_simulator
     except ImportError as error:
         raise MissingPackageError(
-            f'A rehearsal needs franky-sim ({error}): pip install "torchgrasp[rehearsal]".'
+            f'A rehearsal needs franky-sim of the extra dev ({error}): pip install "torchgrasp[dev]".'
         ) from error
     return franky_sim

@@ -80,9 +80,7 @@ def _add_object(
     ElementTree.SubElement(body, "joint", {"name": OBJECT_JOINT, "type": "free"})
     spin = object_inertia(target, physics.mass)
     full = _text((*np.diag(spin), spin[0, 1], spin[0, 2], spin[1, 2]))
-    ElementTree.SubElement(
-        body, "inertial", {"pos": "0 0 0", "mass": str(physics.mass), "fullinertia": full}
-    )
+    ElementTree.SubElement(body, "inertial", {"pos": "0 0 0", "mass": str(physics.mass), "fullinertia": full})
     assets = _one(simulator.scene, "asset")
     for number, part in enumerate(target.parts):
         name = f"{OBJECT}_{number}"
