@@ -20,8 +20,10 @@ class Arm(Protocol):
         """Metres between the fingers; NaN where nobody knows."""
         ...
 
-    def follow(self, T_base_ee: np.ndarray) -> None:
-        """Set out for a hand pose (4, 4), in place of the one before; returns at once.
+    def follow(self, T_base_ee: np.ndarray, seconds: float) -> None:
+        """Set out for a hand pose (4, 4) that is to be reached in `seconds`; returns at once.
+
+        It takes the place of the one before, whose motion is blended into the new one.
 
         The motion ends there at rest: an arm that is told nothing more stands still.
         """

@@ -140,7 +140,7 @@ class ClosedLoop:
         unused, due = 0, self._clock()
         while True:
             self._wait_until(due)
-            hand, command = self._look()
+            joints, hand, command = self._look()
             if command.problem is not None:
                 unused += 1
                 if unused >= self._patience:
@@ -148,11 +148,12 @@ class ClosedLoop:
             else:
                 unused = 0
             target = self.limits.shorten(hand, command.T_base_ee, self._period)
+            target = self.limits.reach(joints, target)
             self.limits.check_pose(target)
             # The first pass of a network takes longer than those after it; the arm still stands then.
             if self._steps and (late := self._clock() - due) > self._watchdog:
                 raise StopError("late", f"the command came {late:.3f} s late, more than {self._watchdog:g}")
-            self.arm.follow(target)
+            self.arm.follow(target, self._period)
             self._steps += 1
             if self._tell is not None:
                 self._tell(self._steps, command)
@@ -160,8 +161,8 @@ class ClosedLoop:
                 return
             due = max(due + self._period, self._clock())
 
-    def _look(self) -> tuple[np.ndarray, GraspCommand]:
-        """The hand's (4, 4) pose when the picture was taken, and what the agent makes of it."""
+    def _look(self) -> tuple[np.ndarray, np.ndarray, GraspCommand]:
+        """Joints (7,) and hand (4, 4) when the picture was taken, and what the agent makes of it."""
         picture = self.camera.read()
         joints = self.arm.joints
         self.limits.check_joints(joints)
@@ -170,7 +171,7 @@ class ClosedLoop:
             raise StopError("picture", f"the picture is {age:.2f} s old, more than {self._max_age:g}")
         hand = forward_kinematics(joints[None])[0]
         command = self.agent.act(picture.depth, picture.mask, joints=joints, age=max(age, 0.0))
-        return hand, command
+        return joints, hand, command
 
     def _wait_until(self, due: float) -> None:
         while self._clock() < due:

@@ -24,7 +24,7 @@ class DryArm:
         >>> arm = DryArm(READY_POSTURE)
         >>> hand = forward_kinematics(READY_POSTURE[None])[0]
         >>> hand[2, 3] -= 0.02
-        >>> arm.follow(hand)
+        >>> arm.follow(hand, 0.15)
         hand to x 0.615, y 0.000, z 0.253 m: 20 mm and 0 degrees away
     """
 
@@ -42,7 +42,7 @@ class DryArm:
         """NaN: nothing is closed."""
         return float("nan")
 
-    def follow(self, T_base_ee: np.ndarray) -> None:
+    def follow(self, T_base_ee: np.ndarray, seconds: float) -> None:
         """See `Arm.follow`."""
         self._write(f"hand to {self._tell(T_base_ee)}")
 

@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from torchgrasp.deploy.limits import ArmLimits
 from torchgrasp.errors import ConfigError, MissingPackageError, StopError
@@ -18,8 +19,11 @@ _POLL = 0.002  # seconds between two questions whether a motion is over
 _OPEN, _OPENING_SPEED, _CLOSING_SPEED = 0.08, 0.1, 0.1  # m, m/s
 # A grasp may end at any width: what is held is told from the width, not from the gripper's answer.
 _ANY_WIDTH = {"epsilon_inner": 0.1, "epsilon_outer": 0.1}
+# Of a control period: what is left of it goes into speeding up and slowing down.
+_EVEN = 0.8
+_SLOWEST = 0.02  # of the limits' speed
 _SAME_FRAME = 0.01  # metres, and entries of a rotation
-_PATIENCE = 20.0  # seconds that a motion may last
+_PATIENCE = 30.0  # seconds that a motion may last
 
 
 class FrankaArm:
@@ -86,9 +90,13 @@ class FrankaArm:
         with self._telling():
             return float(self._gripper.width)
 
-    def follow(self, T_base_ee: np.ndarray) -> None:
-        """See `Arm.follow`; the motion under way is blended into the new one."""
-        self._set_out(T_base_ee, 1.0)
+    def follow(self, T_base_ee: np.ndarray, seconds: float) -> None:
+        """See `Arm.follow`: at an even pace, so that the arm does not halt at each pose."""
+        limits, here = self.limits, self.T_base_ee
+        way = float(np.linalg.norm(T_base_ee[:3, 3] - here[:3, 3]))
+        turn = float(Rotation.from_matrix(here[:3, :3].T @ T_base_ee[:3, :3]).magnitude())
+        share = max(way / limits.speed, turn / limits.turn_rate) / (_EVEN * seconds)
+        self._set_out(T_base_ee, min(max(share, _SLOWEST), 1.0))
 
     def go(self, T_base_ee: np.ndarray) -> None:
         """See `Arm.go`, at the limits' `lift_speed`."""

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from torchgrasp.errors import ConfigError, StopError, check_range
 from torchgrasp.objects.gripper import lowest_point
-from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER
+from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, forward_kinematics
+from torchgrasp.sim.tracking import track_within_limits
 
 Bounds = tuple[tuple[float, ...], tuple[float, ...]]
 # Lower and upper angles of the seven joints, rad; the FR3's are those of its data sheet.
@@ -103,6 +104,18 @@ class ArmLimits:
                 f"clearance of {1000 * self.clearance:.1f} mm",
             )
 
+    def reach(self, joints: ArrayLike, T_base_target: NDArray) -> NDArray:
+        """The (4, 4) pose nearest to a target that joints (7,) come to within their limits.
+
+        Where a joint is in the way the hand goes where it is sent and turns as far as it can, as in training.
+        """
+        lower, upper = (np.asarray(each) for each in self.joints)
+        spare = 2 * self.joint_margin
+        q = np.asarray(joints, dtype=np.float64)[None, :7]
+        found, _ = track_within_limits(q, T_base_target[None], lower=lower + spare, upper=upper - spare)
+        inside = (found > lower + spare) & (found < upper - spare)
+        return T_base_target if inside.all() else forward_kinematics(found)[0]
+
     def shorten(self, T_base_ee: NDArray, T_base_target: NDArray, seconds: float) -> NDArray:
         """The (4, 4) pose on the way to a target that the hand reaches within its speeds in `seconds`."""
         way = T_base_target[:3, 3] - T_base_ee[:3, 3]
@@ -120,6 +133,7 @@ class ArmLimits:
 
 
 def _check_bounds(name: str, bounds: Bounds, size: int) -> None:
-    box = np.asarray(bounds, dtype=np.float64)
-    if box.shape != (2, size) or not (box[0] < box[1]).all():
+    lower, upper = bounds
+    ordered = len(lower) == len(upper) == size and all(a < b for a, b in zip(lower, upper, strict=True))
+    if not ordered:
         raise ConfigError(f"{name}={bounds}: give {size} lower numbers and {size} upper ones above them.")

@@ -144,7 +144,7 @@ class Rehearsal:
         self._watchers.append(watcher)
 
     def abort_motion(self) -> None:
-        """Have the robot stop by a reflex within a millisecond."""
+        """Have the robot stop by a reflex: at once, or as soon as it moves."""
         self._told_to_stop.set()
 
     def _after_step(self, _: Any) -> None:
@@ -152,21 +152,19 @@ class Rehearsal:
         data, robot = self._simulator.data, self._robot
         torques = data.qfrc_constraint[robot._dof_addrs]
         self._torques += 1e-3 / _FILTER * (torques - self._torques)
-        if self._told_to_stop.is_set() or np.abs(self._torques).max() > self._reflex_torque:
+        motion = self._robot.server.current_motion_id
+        if motion and (self._told_to_stop.is_set() or np.abs(self._torques).max() > self._reflex_torque):
             self._told_to_stop.clear()
-            self._stop_by_reflex()
+            self._stop_by_reflex(motion)
         for watcher in self._watchers:
             watcher(self._now)
 
-    def _stop_by_reflex(self) -> None:
+    def _stop_by_reflex(self, motion: int) -> None:
         """End the motion under way as a robot does that has met something: franky-sim has no reflexes."""
         from franky_sim.franka_robot_protocol import MoveStatus, RobotCommand
         from franky_sim.franka_server import BaseCommand
 
         server = self._robot.server
-        motion = server.current_motion_id
-        if not motion:
-            return
         self._torques[:] = 0.0
         server.stop_motion(send_preemption_signal=False)
         BaseCommand.send_response(server._tcp_socket, RobotCommand.kMove, motion, MoveStatus.kReflexAborted)

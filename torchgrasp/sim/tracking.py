@@ -48,15 +48,26 @@ def track_pose(
         else:
             out[row], left[row] = found, error
     if hard:
-        solved = _track_within_limits(start[hard], T_base_ee[hard], iterations, damping, tolerance)
-        out[hard], left[hard] = solved
+        options: Any = {"iterations": iterations, "damping": damping, "tolerance": tolerance}
+        out[hard], left[hard] = track_within_limits(start[hard], T_base_ee[hard], **options)
     return out, left
 
 
-def _track_within_limits(
-    q: Array, T_base_ee: Array, iterations: int, damping: float, tolerance: float
+def track_within_limits(
+    q: Array,
+    T_base_ee: Array,
+    *,
+    lower: Array = JOINT_LOWER,
+    upper: Array = JOINT_UPPER,
+    iterations: int = 12,
+    damping: float = 1e-3,
+    tolerance: float = 1e-5,
 ) -> tuple[Array, Array]:
-    """Damped least squares in which joints at a limit are locked; see `track_pose`."""
+    """Damped least squares in which joints at a limit are locked, without any simulator; see `track_pose`.
+
+    `lower` and `upper` are the joints' (7,) limits, rad; the other arguments are as there.
+    """
+    q = q.copy()
     active = np.arange(len(q))
     left = np.zeros(len(q))
     for i in range(iterations + 1):
@@ -67,11 +78,13 @@ def _track_within_limits(
         if i == iterations or not keep.any():
             break
         active, error, poses = active[keep], error[keep], poses[keep]
-        q[active] = _least_squares_step(q[active], jacobian(poses), error, damping)
+        q[active] = _least_squares_step(q[active], jacobian(poses), error, damping, lower, upper)
     return q, left
 
 
-def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Array:
+def _least_squares_step(
+    q: Array, j: Array, error: Array, damping: float, lower: Array, upper: Array
+) -> Array:
     """One damped step; joints that a limit stops are locked, the others take over, position first."""
     ridge = damping**2 * _IDENTITY
     locked = np.zeros(q.shape, dtype=bool)
@@ -81,7 +94,7 @@ def _least_squares_step(q: Array, j: Array, error: Array, damping: float) -> Arr
         transposed = free.transpose(0, 2, 1)
         step = transposed @ np.linalg.solve(free @ transposed + ridge, error[..., None] * weight)
         moved = q + step[..., 0]
-        inside = np.minimum(np.maximum(moved, JOINT_LOWER), JOINT_UPPER)
+        inside = np.minimum(np.maximum(moved, lower), upper)
         blocked = (moved != inside) & ~locked
         if not blocked.any():
             break

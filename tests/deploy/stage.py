@@ -1,0 +1,56 @@
+"""A rehearsal that tests share: one scene of a validation object, the pretrained policy, our camera."""
+
+import contextlib
+import functools
+
+import torch
+
+import torchgrasp
+from torchgrasp.deploy import ArmLimits, ClosedLoop, FrankaArm, GraspAgent
+from torchgrasp.deploy.rehearsal import Rehearsal, RehearsalCamera
+from torchgrasp.objects import ProceduralObjects
+from torchgrasp.sim import RaycastCamera
+
+CAMERA = RaycastCamera()
+
+
+@functools.cache
+def policy():
+    torch.set_num_threads(1)
+    return torchgrasp.load_policy("pretrained")
+
+
+@functools.cache
+def drawn():
+    """A target and the scene that GraspEnv draws for it."""
+    objects = ProceduralObjects("val", num_objects=3, num_grasps=100)
+    env = torchgrasp.make_env(policy(), objects=objects, num_envs=1, seed=0)
+    scene = env.base_env.scene(0, 0)
+    return objects[scene.object_id], scene
+
+
+@functools.cache
+def agent():
+    return GraspAgent(policy(), intrinsics=CAMERA.intrinsics, T_ee_camera=CAMERA.T_ee_camera)
+
+
+def rehearse(**options):
+    target, scene = drawn()
+    return Rehearsal(target, scene.T_base_object, scene.q, **options)
+
+
+@contextlib.contextmanager
+def connected(limits=None, **options):
+    """A rehearsal and the arm in it."""
+    with (
+        rehearse(**options) as rehearsal,
+        FrankaArm(rehearsal.host, limits=limits, realtime=False) as arm,
+    ):
+        yield rehearsal, arm
+
+
+def make_loop(rehearsal, arm, *, camera=None, limits=None, **options):
+    camera = camera or RehearsalCamera(rehearsal, CAMERA)
+    # Generous, because tests share a machine: each provokes what it is about.
+    options = {"watchdog": 1.0, "max_age": 1.0, "clock": rehearsal.clock} | options
+    return ClosedLoop(arm, agent(), camera, limits=limits or ArmLimits(), **options)

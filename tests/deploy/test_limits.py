@@ -1,0 +1,74 @@
+"""ArmLimits: what is outside is refused with a reason, what is too fast is shortened."""
+
+import numpy as np
+import pytest
+
+from torchgrasp.deploy import PANDA_JOINTS, ArmLimits
+from torchgrasp.errors import ConfigError, StopError
+from torchgrasp.objects.gripper import lowest_point
+from torchgrasp.sim.kinematics import READY_POSTURE, forward_kinematics
+
+
+def hand(x=0.5, y=0.0, z=0.4):
+    pose = np.diag((1.0, -1.0, -1.0, 1.0))
+    pose[:3, 3] = x, y, z
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("place", "told"), [({"x": 1.0}, "x = 1.000"), ({"y": -0.9}, "y"), ({"z": 1.2}, "z")]
+)
+def test_a_pose_outside_the_workspace_is_refused(place, told):
+    ArmLimits().check_pose(hand())
+    with pytest.raises(StopError, match=f"the hand would be at {told}") as caught:
+        ArmLimits().check_pose(hand(**place))
+    assert caught.value.cause == "limits"
+
+
+def test_the_fingertips_stay_above_the_table_whatever_its_height():
+    tips = 0.4 - float(lowest_point(hand()))
+    limits = ArmLimits(table_height=0.1, clearance=0.005)
+    limits.check_pose(hand(z=tips + 0.106))
+    with pytest.raises(StopError, match=r"4\.0 mm above the table, less than the clearance of 5\.0 mm"):
+        limits.check_pose(hand(z=tips + 0.104))
+
+
+def test_joints_near_a_limit_are_refused_and_panda_and_fr3_differ():
+    q = READY_POSTURE.copy()
+    ArmLimits().check_joints(q)
+    q[5] = 0.3  # an FR3's sixth joint begins at 0.5445
+    ArmLimits(joints=PANDA_JOINTS).check_joints(q)
+    with pytest.raises(StopError, match=r"joint 6 at 0\.300 rad is near or beyond its limits"):
+        ArmLimits().check_joints(q)
+
+
+def test_a_step_that_is_too_fast_is_shortened_along_its_way():
+    limits = ArmLimits(speed=0.2, turn_rate=1.0)
+    here = forward_kinematics(READY_POSTURE[None])[0]
+    there = here.copy()
+    there[:3, 3] += (0.06, 0.0, -0.08)
+    short = limits.shorten(here, there, 0.15)
+    assert np.allclose(short[:3, 3] - here[:3, 3], np.array((0.06, 0.0, -0.08)) * 0.3)
+    assert np.allclose(short[:3, :3], here[:3, :3])
+    turned = here.copy()
+    turned[:3, :3] = here[:3, :3] @ [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
+    left = here[:3, :3].T @ limits.shorten(here, turned, 0.15)[:3, :3]
+    assert np.arctan2(left[1, 0], left[0, 0]) == pytest.approx(0.15)
+    near = here.copy()
+    near[0, 3] += 0.01
+    assert limits.shorten(here, near, 0.15) is near
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"speed": 2.0},
+        {"turn_rate": 0.0},
+        {"workspace": ((0, 0, 0), (1, 1))},
+        {"joints": ((1,) * 7, (0,) * 7)},
+    ],
+)
+def test_impossible_limits_are_refused(option):
+    (name,) = option
+    with pytest.raises(ConfigError, match=f"^{name}="):
+        ArmLimits(**option)

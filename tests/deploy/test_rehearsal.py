@@ -1,0 +1,65 @@
+"""The rehearsal's scene: the object as it is told, lying still, and a camera that sees it."""
+
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tests.deploy.stage import CAMERA, drawn, rehearse
+from torchgrasp.deploy.rehearsal import RehearsalCamera
+from torchgrasp.deploy.rehearsal_scene import OBJECT, OBJECT_JOINT, object_inertia
+from torchgrasp.errors import MissingPackageError
+from torchgrasp.sim import Physics
+
+
+def wait_until(rehearsal, seconds):
+    while rehearsal.clock() < seconds:
+        time.sleep(0.01)
+
+
+def test_the_object_has_its_mass_and_damping_and_lies_still():
+    target, scene = drawn()
+    physics = Physics(mass=0.3)
+    with rehearse(physics=physics) as rehearsal:
+        model = rehearsal.model
+        assert model.body(OBJECT).mass[0] == pytest.approx(0.3)
+        spin = object_inertia(target, 0.3)
+        assert sorted(model.body(OBJECT).inertia) == pytest.approx(sorted(np.linalg.eigvalsh(spin)), rel=1e-4)
+        first = int(model.joint(OBJECT_JOINT).dofadr[0])
+        assert model.dof_damping[first : first + 3] == pytest.approx([0.1 * 0.3] * 3)
+        wait_until(rehearsal, 0.7)
+        moved = rehearsal.now.T_base_object - scene.T_base_object
+        assert np.abs(moved[:3, 3]).max() < 2e-3 and np.abs(moved[:3, :3]).max() < 0.02
+        assert abs(rehearsal.risen) < 2e-3
+
+
+def test_a_box_has_the_inertia_of_the_textbook():
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-2, 2) for z in (-3, 3)], dtype=np.float32) / 100
+
+    class Box:
+        parts = (corners,)
+
+    expected = 0.12 / 12 * np.diag((0.04**2 + 0.06**2, 0.02**2 + 0.06**2, 0.02**2 + 0.04**2))
+    assert np.allclose(object_inertia(Box, 0.12), expected, rtol=1e-5, atol=1e-12)
+
+
+def test_the_camera_sees_the_object_at_the_time_of_the_rehearsal():
+    with rehearse() as rehearsal:
+        wait_until(rehearsal, 0.2)
+        picture = RehearsalCamera(rehearsal, CAMERA).read()
+        assert picture.mask.any() and picture.depth.shape == (112, 112)
+        assert 0.0 <= rehearsal.clock() - picture.time < 0.5
+
+
+def test_coordinates_and_snapshots_agree():
+    with rehearse() as rehearsal:
+        now = rehearsal.now
+        qpos = rehearsal.to_qpos(now)
+        assert qpos.shape == (rehearsal.model.nq,) and np.isclose(qpos[:9], now.joints).all()
+
+
+def test_without_franky_sim_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "franky_sim", None)
+    with pytest.raises(MissingPackageError, match=r"torchgrasp\[dev\]"):
+        rehearse()
