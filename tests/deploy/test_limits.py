@@ -59,6 +59,21 @@ def test_a_step_that_is_too_fast_is_shortened_along_its_way():
     assert limits.shorten(here, near, 0.15) is near
 
 
+def test_a_joint_in_the_way_lets_the_hand_go_and_turns_it_as_far_as_it_can():
+    limits = ArmLimits()
+    q = READY_POSTURE.copy()
+    q[6] = limits.joints[1][6] - 0.15
+    here = forward_kinematics(q[None])[0]
+    c, s = np.cos(0.4), np.sin(0.4)
+    turned = here @ np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0.02], [0, 0, 0, 1.0]])
+    pose = limits.reach(q, turned)
+    assert np.allclose(pose[:3, 3], turned[:3, 3])
+    left = here[:3, :3].T @ pose[:3, :3]
+    assert abs(np.arctan2(left[1, 0], left[0, 0])) < 0.12
+    back = here @ np.array([[c, s, 0, 0], [-s, c, 0, 0], [0, 0, 1, 0.02], [0, 0, 0, 1.0]])
+    assert limits.reach(q, back) is back
+
+
 @pytest.mark.parametrize(
     "option",
     [

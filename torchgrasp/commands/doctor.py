@@ -30,6 +30,7 @@ _IMPORTED = (
     "manifold3d",
     "hydra",
 )
+_EXTRAS = ("ycb", "random-urdfs", "acronym", "gym", "minari", "viz", "wandb", "sweeps", "franka", "ray")
 
 _EXTRAS = (
     "ycb",

@@ -21,6 +21,9 @@ FR3_JOINTS: Bounds = (
 )
 PANDA_JOINTS: Bounds = (tuple(JOINT_LOWER.tolist()), tuple(JOINT_UPPER.tolist()))
 
+# Shares of the way and of the turn that are tried where a joint's limit is in the way.
+_SHARES = ((1.0, 1.0), (1.0, 0.75), (1.0, 0.5), (1.0, 0.25), (1.0, 0.0), (0.5, 0.0))
+
 
 @dataclass(frozen=True)
 class ArmLimits:
@@ -58,8 +61,8 @@ class ArmLimits:
     lift_speed: float = 0.15
     joints: Bounds = FR3_JOINTS
     joint_margin: float = 0.02
-    joint_torque: float = 20.0
-    force: float = 30.0
+    joint_torque: float = 40.0
+    force: float = 50.0
 
     def __post_init__(self) -> None:
         check_range("table_height", self.table_height, -10.0, 10.0)
@@ -105,16 +108,22 @@ class ArmLimits:
             )
 
     def reach(self, joints: ArrayLike, T_base_target: NDArray) -> NDArray:
-        """The (4, 4) pose nearest to a target that joints (7,) come to within their limits.
+        """The (4, 4) pose on the way to a target to which the arm comes with its joints (7,) in their limits.
 
-        Where a joint is in the way the hand goes where it is sent and turns as far as it can, as in training.
+        A robot's Cartesian controller knows nothing of those limits. Where one is in the way the hand goes
+        where it is sent and turns as far as it can, as in training; else it goes part of the way, or stays.
         """
         lower, upper = (np.asarray(each) for each in self.joints)
-        spare = 2 * self.joint_margin
+        spare, free = 2 * self.joint_margin, np.full(7, np.inf)
         q = np.asarray(joints, dtype=np.float64)[None, :7]
-        found, _ = track_within_limits(q, T_base_target[None], lower=lower + spare, upper=upper - spare)
-        inside = (found > lower + spare) & (found < upper - spare)
-        return T_base_target if inside.all() else forward_kinematics(found)[0]
+        here = forward_kinematics(q)[0]
+        for way, turn in _SHARES:
+            pose = _go_part(here, T_base_target, way, turn)
+            found, _ = track_within_limits(q, pose[None], lower=-free, upper=free)
+            nearer = np.minimum(found - lower, upper - found) > np.minimum(q - lower, upper - q)
+            if (nearer | ((found > lower + spare) & (found < upper - spare))).all():
+                return pose
+        return here
 
     def shorten(self, T_base_ee: NDArray, T_base_target: NDArray, seconds: float) -> NDArray:
         """The (4, 4) pose on the way to a target that the hand reaches within its speeds in `seconds`."""
@@ -126,10 +135,18 @@ class ArmLimits:
         )
         if need <= 1.0:
             return T_base_target
-        pose = T_base_ee.copy()
-        pose[:3, 3] += way / need
-        pose[:3, :3] = T_base_ee[:3, :3] @ Rotation.from_rotvec(turn / need).as_matrix()
-        return pose
+        return _go_part(T_base_ee, T_base_target, 1 / need, 1 / need)
+
+
+def _go_part(T_base_ee: NDArray, T_base_target: NDArray, way: float, turn: float) -> NDArray:
+    """The (4, 4) pose after shares of the way and of the turn from one pose to another."""
+    if way == turn == 1.0:
+        return T_base_target
+    pose = T_base_ee.copy()
+    pose[:3, 3] += way * (T_base_target[:3, 3] - T_base_ee[:3, 3])
+    whole = Rotation.from_matrix(T_base_ee[:3, :3].T @ T_base_target[:3, :3]).as_rotvec()
+    pose[:3, :3] = T_base_ee[:3, :3] @ Rotation.from_rotvec(turn * whole).as_matrix()
+    return pose
 
 
 def _check_bounds(name: str, bounds: Bounds, size: int) -> None:

@@ -72,7 +72,7 @@ class Rehearsal:
         *,
         physics: Physics | None = None,
         contact: Contact | None = None,
-        reflex_torque: float = 20.0,
+        reflex_torque: float = 40.0,
     ) -> None:
         franky_sim = _load_franky_sim()
         self.target, self.physics = target, physics or Physics()
