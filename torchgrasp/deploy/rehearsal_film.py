@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -27,7 +28,7 @@ def draw_rehearsal(
         RenderError: where MuJoCo finds no OpenGL. Without a display it wants the environment variable
             MUJOCO_GL=egl (or osmesa) when Python starts: TorchRL loads it early.
     """
-    import mujoco
+    mujoco = importlib.import_module("mujoco")  # whose types pyright does not know
 
     model = rehearsal.model
     model.vis.global_.offwidth = max(size, model.vis.global_.offwidth)
