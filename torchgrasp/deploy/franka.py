@@ -81,8 +81,7 @@ class FrankaArm:
     def T_base_ee(self) -> np.ndarray:
         """(4, 4) pose of the hand, as the robot tells it."""
         with self._telling():
-            state = self._robot.state
-        return state.O_T_EE.matrix @ np.linalg.inv(_hand_to_effector(state))
+            return _hand_pose(self._robot.state)
 
     @property
     def width(self) -> float:
@@ -137,8 +136,10 @@ class FrankaArm:
 
     def _check_frames(self) -> None:
         """Refuse a robot whose hand is not where its joints put a Franka's."""
-        there = forward_kinematics(self.joints[None])[0]
-        apart = np.abs(self.T_base_ee - there).max()
+        with self._telling():
+            state = self._robot.state
+        there = forward_kinematics(np.asarray(state.q, dtype=np.float64).reshape(1, 7))[0]
+        apart = np.abs(_hand_pose(state) - there).max()
         if apart > _SAME_FRAME:
             raise ConfigError(
                 f"The robot tells another pose of its hand than a Franka's joints give ({apart:.3f} apart): "
@@ -184,6 +185,11 @@ class FrankaArm:
             raise StopError("reflex", f"the robot stopped by itself ({_first_line(error)})") from error
         except (franky.Exception, franky.NetworkException, franky.CommandException, RuntimeError) as error:
             raise StopError("robot", f"the robot does not do it ({_first_line(error)})") from error
+
+
+def _hand_pose(state: Any) -> np.ndarray:
+    """(4, 4) pose of the hand, whatever end effector is configured."""
+    return state.O_T_EE.matrix @ np.linalg.inv(_hand_to_effector(state))
 
 
 def _hand_to_effector(state: Any) -> np.ndarray:
