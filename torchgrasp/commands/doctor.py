@@ -30,8 +30,6 @@ _IMPORTED = (
     "manifold3d",
     "hydra",
 )
-_EXTRAS = ("ycb", "random-urdfs", "acronym", "gym", "minari", "viz", "wandb", "sweeps", "franka", "ray")
-
 _EXTRAS = (
     "ycb",
     "random-urdfs",
@@ -39,6 +37,7 @@ _EXTRAS = (
     "gym",
     "mujoco",
     "export",
+    "franka",
     "minari",
     "viz",
     "wandb",

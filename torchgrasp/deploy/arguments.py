@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchgrasp.deploy.limits import FR3_JOINTS, PANDA_JOINTS
 from torchgrasp.errors import ConfigError
-from torchgrasp.sim.kinematics import JOINT_LOWER, JOINT_UPPER, forward_kinematics
+from torchgrasp.sim.kinematics import forward_kinematics
 
 _FINGERS_OPEN = 0.04  # metres, of each finger
-# Radians: as far as the joints of a Panda or of an FR3 turn (franka_description), and a little more.
-LOWEST = np.minimum(JOINT_LOWER, (-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159)) - 0.05
-HIGHEST = np.maximum(JOINT_UPPER, (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159)) + 0.05
+# Radians: as far as the joints of a Panda or of an FR3 turn, and a little more.
+LOWEST = np.minimum(PANDA_JOINTS[0], FR3_JOINTS[0]) - 0.05
+HIGHEST = np.maximum(PANDA_JOINTS[1], FR3_JOINTS[1]) + 0.05
 
 
 def read_array(name: str, value: Any) -> np.ndarray:
