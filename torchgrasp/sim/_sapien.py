@@ -7,20 +7,7 @@ import warnings
 from typing import TYPE_CHECKING, Any
 
 from torchgrasp.errors import MissingPackageError
-
-if TYPE_CHECKING:
-    import sapien as sapien
-else:
-
-    class _Sapien:
-        """The module's attributes by their names."""
-
-        def __getattr__(self, name: str) -> Any:
-            found = getattr(load_sapien(), name)
-            setattr(self, name, found)
-            return found
-
-    sapien = _Sapien()
+from torchgrasp.sim._lazy import LazyModule
 
 
 def load_sapien() -> Any:
@@ -36,3 +23,9 @@ def load_sapien() -> Any:
                 "arm, take one of SAPIEN's releases on GitHub. Losses, networks, buffers and GraspAgent do "
                 "without."
             ) from error
+
+
+if TYPE_CHECKING:
+    import sapien as sapien
+else:
+    sapien = LazyModule(load_sapien)

@@ -3,23 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torchgrasp.errors import MissingPackageError
-
-if TYPE_CHECKING:
-    import mujoco as mujoco
-else:
-
-    class _Mujoco:
-        """The module's attributes by their names."""
-
-        def __getattr__(self, name: str) -> Any:
-            found = getattr(load_mujoco(), name)
-            setattr(self, name, found)
-            return found
-
-    mujoco = _Mujoco()
+from torchgrasp.sim._lazy import LazyModule
 
 
 def load_mujoco() -> Any:
@@ -30,3 +17,6 @@ def load_mujoco() -> Any:
         raise MissingPackageError(
             f'engine=mujoco needs mujoco ({error}): pip install "torchgrasp[mujoco]", or give engine=sapien.'
         ) from error
+
+
+mujoco: Any = LazyModule(load_mujoco)  # its stubs leave out what it exports

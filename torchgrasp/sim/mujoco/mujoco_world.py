@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +12,6 @@ from torchgrasp.sim.mujoco.arm_drives import ArmDrives
 from torchgrasp.sim.mujoco.scene_model import Contact, compile_scene
 from torchgrasp.sim.panda_tables import FINGER_OPEN
 from torchgrasp.sim.world import Placement, World
-
-if TYPE_CHECKING:
-    import mujoco as mujoco_types
 
 _ROBOT = 9  # joints of arm and hand, which come first
 
@@ -42,8 +39,8 @@ class MujocoWorld(World):
     def _enter(self, *, held: bool, T_base_object: np.ndarray) -> None:
         """Begin with fresh data in the model in which the target is held, or free."""
         scene = compile_scene(self.placement.target, self.placement.physics, self._contact, held=held)
-        self._model: mujoco_types.MjModel = scene.model
-        self._data: mujoco_types.MjData = mujoco.MjData(scene.model)
+        self._model: Any = scene.model
+        self._data: Any = mujoco.MjData(scene.model)
         self._T_object_body = scene.T_object_principal
         self._T_body_object = np.linalg.inv(scene.T_object_principal)
         self._held = held

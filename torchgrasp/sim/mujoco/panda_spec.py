@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,18 +29,13 @@ from torchgrasp.sim.panda_tables import (
     mirrored,
 )
 
-if TYPE_CHECKING:
-    import mujoco as mujoco_types
-
 # A joint's stop gives way by tenths of a millimetre under a drive's whole force.
 _STOP = {"limited": True, "solref_limit": (0.005, 1.0), "solimp_limit": (0.99, 0.999, 1e-3, 0.5, 2.0)}
 # Of geoms: the higher one's friction and contact hold.
 LINK_PRIORITY, FINGER_PRIORITY = 1, 2
 
 
-def add_panda(
-    spec: mujoco_types.MjSpec, *, link: dict[str, Any], finger: dict[str, Any], finger_force: float
-) -> None:
+def add_panda(spec: Any, *, link: dict[str, Any], finger: dict[str, Any], finger_force: float) -> None:
     """Add the arm and the hand with their drives, joints and actuators in the order of `joints`.
 
     Args:
@@ -129,9 +124,7 @@ def _add_link(
     return body
 
 
-def _add_drive(
-    spec: mujoco_types.MjSpec, joint: str, stiffness: float, damping: float, limit: float | None = None
-) -> None:
+def _add_drive(spec: Any, joint: str, stiffness: float, damping: float, limit: float | None = None) -> None:
     """A spring towards the control and a damper, with a limit of their force where one is given."""
     spec.add_actuator(
         name=joint,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections import OrderedDict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from torchgrasp.sim.mujoco.target_spec import Distribution, add_target, distribu
 from torchgrasp.sim.panda_tables import BODY_FRICTION
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
-
-if TYPE_CHECKING:
-    import mujoco as mujoco_types
 
 _KEPT = 128  # models, of some 100 kB each
 
@@ -45,7 +42,7 @@ class SceneModel:
         T_object_principal: (4, 4) pose of the target's body in the object's frame.
     """
 
-    model: mujoco_types.MjModel
+    model: Any
     T_object_principal: np.ndarray
 
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.solids import hull
 from torchgrasp.sim.mujoco._mujoco import mujoco
-
-if TYPE_CHECKING:
-    import mujoco as mujoco_types
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ def distribute(target: GraspObject) -> Distribution:
 
 
 def add_target(
-    spec: mujoco_types.MjSpec,
+    spec: Any,
     target: GraspObject,
     spread: Distribution,
     *,
