@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
+from omegaconf import open_dict
 from torchrl.envs import check_env_specs
 
 from tests.configurations import ROOT
@@ -173,7 +174,8 @@ def test_the_engine_is_chosen_by_name_and_its_numbers_reach_it(composed):
 
 def test_a_configuration_of_before_there_were_engines_means_the_first(composed):
     cfg = composed(*SMALL)
-    del cfg["engine"]
+    with open_dict(cfg):
+        del cfg["engine"]
     check_values(cfg, Training)
     assert make_split_env(cfg, "test").base_env.worlds.engine == SapienEngine()
 
