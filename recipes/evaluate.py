@@ -78,6 +78,7 @@ def evaluate(cfg: DictConfig) -> dict:
         "learner": cfg.learner,
         "protocol": cfg.protocol,
         "scenes": scenes,
+        "engine": cfg.engine._target_,
         "wall_seconds": time.monotonic() - started,
         "gradient_steps": 0,
     }

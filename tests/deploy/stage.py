@@ -2,11 +2,12 @@
 
 import contextlib
 import functools
+import time
 
 import torch
 
 import torchgrasp
-from torchgrasp.deploy import ArmLimits, ClosedLoop, FrankaArm, GraspAgent
+from torchgrasp.deploy import ClosedLoop, FrankaArm, GraspAgent
 from torchgrasp.deploy.rehearsal import Rehearsal, RehearsalCamera
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.sim import RaycastCamera
@@ -53,4 +54,12 @@ def make_loop(rehearsal, arm, *, camera=None, limits=None, **options):
     camera = camera or RehearsalCamera(rehearsal, CAMERA)
     # Generous, because tests share a machine: each provokes what it is about.
     options = {"watchdog": 1.0, "max_age": 1.0, "clock": rehearsal.clock} | options
-    return ClosedLoop(arm, agent(), camera, limits=limits or ArmLimits(), **options)
+    return ClosedLoop(arm, agent(), camera, limits=limits, **options)
+
+
+def wait_for(condition, seconds=30.0):
+    """Wait until a condition holds; fails where it does not in time."""
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.005)

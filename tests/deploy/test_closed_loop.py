@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from tests.deploy.stage import CAMERA, agent, connected, drawn, make_loop, rehearse
-from torchgrasp.deploy import ArmLimits, ClosedLoop, DryArm, Picture
+from tests.deploy.stage import CAMERA, agent, connected, drawn, make_loop, rehearse, wait_for
+from torchgrasp.deploy import ArmLimits, ClosedLoop, DryArm, GraspAgent, Picture
 from torchgrasp.deploy.rehearsal import RehearsalCamera
 from torchgrasp.errors import ConfigError
 from torchgrasp.sim.kinematics import forward_kinematics
@@ -39,8 +39,8 @@ def black_out(eye):
 
 
 def is_at_rest(rehearsal):
-    before = rehearsal.now
-    time.sleep(0.3)
+    before, began = rehearsal.now, rehearsal.clock()
+    wait_for(lambda: rehearsal.clock() > began + 0.3)
     return np.abs(rehearsal.now.joints[:7] - before.joints[:7]).max() < 1e-3
 
 
@@ -121,8 +121,8 @@ def test_a_target_outside_the_workspace_stops_the_arm_before_it_goes_there():
     # The hand may sink by 5 cm, which is less than every grasp needs.
     low = ((-1.0, -1.0, float(start[2]) - 0.05), (1.0, 1.0, 1.5))
     limits = ArmLimits(workspace=low)
-    with connected() as (rehearsal, arm):
-        outcome = make_loop(rehearsal, arm, limits=limits).run()
+    with connected(limits) as (rehearsal, arm):
+        outcome = make_loop(rehearsal, arm).run()
         assert outcome.cause == "limits" and outcome.steps >= 1
         assert "outside of the workspace" in outcome.reason
         assert arm.T_base_ee[2, 3] > low[0][2] - 0.002
@@ -130,8 +130,8 @@ def test_a_target_outside_the_workspace_stops_the_arm_before_it_goes_there():
 
 def test_an_arm_that_stands_outside_its_limits_does_not_set_out():
     limits = ArmLimits(workspace=((0.0, 0.0, 0.0), (0.1, 0.1, 0.1)))
-    with connected() as (rehearsal, arm):
-        outcome = make_loop(rehearsal, arm, limits=limits).run()
+    with connected(limits) as (rehearsal, arm):
+        outcome = make_loop(rehearsal, arm).run()
         assert (outcome.cause, outcome.steps) == ("limits", 0)
         assert np.abs(rehearsal.now.joints[:7] - drawn()[1].q).max() < 1e-3
 
@@ -159,3 +159,32 @@ def test_impossible_options_are_refused(option):
     (name,) = option
     with pytest.raises(ConfigError, match=name):
         ClosedLoop(DryArm(np.zeros(7)), agent(), None, **option)
+
+
+def test_a_picture_of_another_clock_stops_the_arm():
+    """Its age would be below zero for ever, however long the camera hangs."""
+
+    def stamp(eye):
+        picture = eye.camera.read()
+        return Picture(picture.depth, picture.mask, picture.time + 1e6)
+
+    with connected() as (rehearsal, arm):
+        loop = make_loop(rehearsal, arm, camera=Tampered(RehearsalCamera(rehearsal, CAMERA), stamp))
+        outcome = loop.run()
+        assert (outcome.cause, outcome.steps) == ("picture", 5)
+        assert "ahead of the loop's clock" in outcome.reason
+        assert is_at_rest(rehearsal)
+
+
+def test_arm_agent_and_loop_that_do_not_fit_are_refused():
+    arm = DryArm(drawn()[1].q)
+    several, blind = GraspAgent("pretrained", num_arms=2), GraspAgent("pretrained")
+    for wrong, told in ((several, "num_arms"), (blind, "intrinsics")):
+        with pytest.raises(ConfigError, match=told):
+            ClosedLoop(arm, wrong, None)
+    with pytest.raises(ConfigError, match="table_height"):
+        ClosedLoop(arm, agent(), None, limits=ArmLimits(table_height=0.1))
+    arm.limits = ArmLimits(speed=0.1)
+    with pytest.raises(ConfigError, match="limits differ"):
+        ClosedLoop(arm, agent(), None, limits=ArmLimits(speed=0.3))
+    assert ClosedLoop(arm, agent(), None).limits.speed == 0.1

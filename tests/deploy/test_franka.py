@@ -1,22 +1,14 @@
 """FrankaArm against franky-sim: frames, motions, gripper, and what a robot refuses."""
 
 import sys
-import time
 
 import numpy as np
 import pytest
 
-from tests.deploy.stage import connected, drawn
+from tests.deploy.stage import connected, drawn, wait_for
 from torchgrasp.deploy import ArmLimits, FrankaArm
-from torchgrasp.errors import MissingPackageError, StopError
+from torchgrasp.errors import ConfigError, MissingPackageError, StopError
 from torchgrasp.sim.kinematics import forward_kinematics
-
-
-def wait_for(condition, seconds=10.0):
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.005)
 
 
 def test_the_hand_is_where_our_kinematics_put_it_whatever_the_end_effector():
@@ -36,7 +28,8 @@ def test_the_hand_is_where_our_kinematics_put_it_whatever_the_end_effector():
         there = here.copy()
         there[2, 3] += 0.05
         arm.go(there)
-        assert np.abs(forward_kinematics(arm.joints[None])[0] - there).max() < 2e-3
+        # The impedance of franky-sim's arm comes to rest a little after the motion's end.
+        wait_for(lambda: np.abs(forward_kinematics(arm.joints[None])[0] - there).max() < 2e-3)
 
 
 def test_motions_are_blended_and_end_at_rest():
@@ -75,6 +68,18 @@ def test_fingers_close_and_their_width_tells_that_nothing_is_held():
         assert arm.width < 0.001
         arm.open()
         assert arm.width > 0.078
+
+
+def test_a_posture_outside_the_limits_is_not_gone_to():
+    with connected() as (_, arm):
+        here = arm.joints
+        with pytest.raises(StopError, match="joint 4"):
+            arm.go_to_joints(np.where(np.arange(7) == 3, -0.1, here))
+        for wrong in (here[:6], np.full(7, np.nan)):
+            with pytest.raises(ConfigError, match="posture"):
+                arm.go_to_joints(wrong)
+        with pytest.raises(ConfigError, match="speed"):
+            arm.go_to_joints(here, speed=0.0)
 
 
 def test_joints_are_reached():

@@ -87,3 +87,25 @@ def test_impossible_limits_are_refused(option):
     (name,) = option
     with pytest.raises(ConfigError, match=f"^{name}="):
         ArmLimits(**option)
+
+
+def test_a_pose_of_no_numbers_is_refused():
+    for entry in ((0, 0), (1, 3)):
+        pose = forward_kinematics(READY_POSTURE[None])[0]
+        pose[entry] = np.nan
+        with pytest.raises(StopError):
+            ArmLimits().check_pose(pose)
+
+
+def test_a_pose_beyond_the_arm_s_length_is_not_gone_to():
+    hand = forward_kinematics(READY_POSTURE[None])[0]
+    far = hand.copy()
+    far[0, 3] += 0.5
+    reached = ArmLimits(joints=PANDA_JOINTS).reach(READY_POSTURE, far)
+    assert reached[0, 3] - hand[0, 3] < 0.3
+
+
+@pytest.mark.parametrize("workspace", [3, None, ((0.0, 0.0, 0.0),), "box"])
+def test_what_is_no_box_is_refused(workspace):
+    with pytest.raises(ConfigError, match="workspace"):
+        ArmLimits(workspace=workspace)

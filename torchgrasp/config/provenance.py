@@ -12,11 +12,11 @@ from torchgrasp.config.lenses import name_lenses
 from torchgrasp.config.weights_files import read_trained, weights_file
 from torchgrasp.data.files import describe_file
 from torchgrasp.errors import ConfigError
+from torchgrasp.evaluation.run_results import FIRST_ENGINE
 from torchgrasp.rollouts.collection import SHARD_ROUNDS
 
 # What demonstrations and a training run on them must have in common.
 _SHARED = ("kind", "transforms", "camera", "overhead", "horizon", "action_space")
-_FIRST_ENGINE = {"_target_": "torchgrasp.sim.SapienEngine"}
 
 
 def describe_provenance(cfg: DictConfig) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def _refuse_differing(ours: dict, path: Path, card: dict, names: list[str], plai
 
 def _name_engine(told: dict) -> dict:
     """What is told, with the engine that all worlds had before there were two."""
-    return {**told, "engine": told.get("engine") or _FIRST_ENGINE}
+    return {**told, "engine": told.get("engine") or FIRST_ENGINE}
 
 
 def check_learner(cfg: DictConfig) -> None:

@@ -13,6 +13,7 @@ from torchgrasp.report.run_page import Picture, write_report
 # What stands at the head of a report, where a recipe has it.
 _HIGHLIGHTS = (
     *("seed", "objects._target_", "objects.num_objects", "evaluation.num_objects", "camera._target_"),
+    "engine._target_",
     *("env.horizon", "env.target_motion", "evaluation.target_motion", "expert._target_"),
     *("model.encoder._target_", "num_points", "pretrain.steps", "total_env_steps"),
     *("loss.bc_weight", "replay.online_fraction", "init"),

@@ -74,8 +74,8 @@ def read_arms(
     if q.shape not in shapes:
         raise ConfigError(f"joints of shape {q.shape}: give {shapes[0]}, or {shapes[1]} with fingers.")
     q = q.reshape(-1, q.shape[-1])
+    _check_reach(q[:, :7])
     if hands is None:
-        _check_reach(q[:, :7])
         hands = forward_kinematics(q[:, :7])
     fingers = np.full((len(q), 2), _FINGERS_OPEN) if q.shape[1] == 7 else q[:, 7:]
     return list(np.concatenate((q[:, :7], fingers), axis=1)), hands

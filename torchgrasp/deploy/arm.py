@@ -42,5 +42,5 @@ class Arm(Protocol):
         ...
 
     def stop(self) -> None:
-        """Come to rest at once, whatever is under way; raises nothing."""
+        """Bring the arm to rest at once, whatever is under way; raises nothing."""
         ...

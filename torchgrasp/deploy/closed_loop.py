@@ -13,9 +13,10 @@ from torchgrasp.deploy.arm import Arm
 from torchgrasp.deploy.command import GraspCommand
 from torchgrasp.deploy.depth_camera import DepthCamera
 from torchgrasp.deploy.limits import ArmLimits
-from torchgrasp.errors import StopError, check_range, check_whole
+from torchgrasp.errors import ConfigError, StopError, check_range, check_whole
 from torchgrasp.sim.kinematics import forward_kinematics
 
+_AHEAD = 0.02  # seconds that two readings of one clock may be apart
 _NAP = 0.0005  # seconds; shorter than a loop can be late without harm
 
 
@@ -50,13 +51,14 @@ class ClosedLoop:
     - the robot has stopped by itself (``reflex``) or does not answer (``robot``),
     - ctrl-C is pressed (``interrupted``).
 
-    A motion ends at rest, so that an arm whose loop hangs stands still within a period.
+    A motion ends at rest, so that an arm whose loop hangs stands still after the step that is under way:
+    within two periods.
 
     Args:
         arm: FrankaArm, DryArm or another `Arm`.
         agent: GraspAgent of one arm, with the camera's intrinsics and pose.
         camera: a `DepthCamera`.
-        limits: of the arm.
+        limits: of the arm; those that the arm itself was given, if None.
         period: seconds of a control period; that of training is 0.15.
         watchdog: seconds that a command may be late.
         max_age: seconds that a picture may be old.
@@ -92,7 +94,8 @@ class ClosedLoop:
         check_range("min_width", min_width, 0.0, 0.08)
         check_whole("patience", patience, 1)
         self.arm, self.agent, self.camera = arm, agent, camera
-        self.limits = limits or ArmLimits()
+        self.limits = _choose_limits(arm, limits)
+        _check_agent(agent, self.limits)
         self._period, self._watchdog, self._max_age, self._patience = period, watchdog, max_age, patience
         self._force, self._lift_height, self._min_width = force, lift_height, min_width
         self._clock, self._tell = clock, tell
@@ -118,22 +121,24 @@ class ClosedLoop:
 
     def _grasp(self) -> GraspOutcome:
         self.agent.reset()
-        hand = self._find_hand()
+        _, hand = self._find_hand()
         self.limits.check_pose(hand)
         self.arm.open()
         self._approach()
         self.arm.grasp(self._force)
-        hand = self._find_hand()
+        joints, hand = self._find_hand()
         hand[2, 3] = min(hand[2, 3] + self._lift_height, self.limits.workspace[1][2])
+        hand = self.limits.reach(joints, hand)
+        self.limits.check_pose(hand)
         self.arm.go(hand)
         width = self.arm.width
         return GraspOutcome(width > self._min_width, width, self._steps)
 
-    def _find_hand(self) -> np.ndarray:
-        """(4, 4) pose of the hand, of an arm whose joints are within their limits."""
+    def _find_hand(self) -> tuple[np.ndarray, np.ndarray]:
+        """Joints (7,), which are within their limits, and the hand's pose (4, 4)."""
         joints = self.arm.joints
         self.limits.check_joints(joints)
-        return forward_kinematics(joints[None])[0]
+        return joints, forward_kinematics(joints[None])[0]
 
     def _approach(self) -> None:
         """Follow the agent until it says that the fingers close."""
@@ -153,7 +158,9 @@ class ClosedLoop:
             # The first pass of a network takes longer than those after it; the arm still stands then.
             if self._steps and (late := self._clock() - due) > self._watchdog:
                 raise StopError("late", f"the command came {late:.3f} s late, more than {self._watchdog:g}")
-            self.arm.follow(target, self._period)
+            # Where the agent holds, the step that is under way ends, and no other begins.
+            if command.problem is None or command.action.any():
+                self.arm.follow(target, self._period)
             self._steps += 1
             if self._tell is not None:
                 self._tell(self._steps, command)
@@ -162,17 +169,45 @@ class ClosedLoop:
             due = max(due + self._period, self._clock())
 
     def _look(self) -> tuple[np.ndarray, np.ndarray, GraspCommand]:
-        """Joints (7,) and hand (4, 4) when the picture was taken, and what the agent makes of it."""
+        """Joints (7,) and hand (4, 4) as they are now, and what the agent makes of a picture."""
         picture = self.camera.read()
-        joints = self.arm.joints
-        self.limits.check_joints(joints)
+        joints, hand = self._find_hand()
         age = self._clock() - picture.time
-        if age > self._max_age:
+        if not age >= -_AHEAD:
+            raise StopError(
+                "picture",
+                f"the picture's time is {picture.time}, ahead of the loop's clock by {-age:.2f} s: give the "
+                "time by that clock, time.monotonic where none is given",
+            )
+        if not age <= self._max_age:
             raise StopError("picture", f"the picture is {age:.2f} s old, more than {self._max_age:g}")
-        hand = forward_kinematics(joints[None])[0]
-        command = self.agent.act(picture.depth, picture.mask, joints=joints, age=max(age, 0.0))
+        then = joints if picture.joints is None else picture.joints
+        command = self.agent.act(picture.depth, picture.mask, joints=then, age=max(age, 0.0))
         return joints, hand, command
 
     def _wait_until(self, due: float) -> None:
         while self._clock() < due:
             time.sleep(_NAP)
+
+
+def _choose_limits(arm: Arm, limits: ArmLimits | None) -> ArmLimits:
+    """The limits of arm and loop, which are the same."""
+    of_arm = getattr(arm, "limits", None)
+    if limits is not None and of_arm is not None and limits != of_arm:
+        raise ConfigError("limits differ from those that the arm was given: give them to the arm alone.")
+    return limits or of_arm or ArmLimits()
+
+
+def _check_agent(agent: Any, limits: ArmLimits) -> None:
+    """Refuse an agent that a loop of one arm and one camera cannot ask."""
+    if agent.num_arms is not None:
+        raise ConfigError(f"agent is of num_arms={agent.num_arms}: give one of a single arm, num_arms=None.")
+    if agent.intrinsics is None:
+        raise ConfigError("agent takes no pictures: give GraspAgent the camera's intrinsics.")
+    if agent.on_problem == "raise":
+        raise ConfigError("agent raises at a bad picture, which the loop counts: give on_problem='hold'.")
+    if agent.table_height != limits.table_height:
+        raise ConfigError(
+            f"table_height is {agent.table_height} for the agent and {limits.table_height} in the limits: "
+            "give both the same."
+        )

@@ -16,11 +16,13 @@ class Picture:
         depth: (H, W) metres as floats, or millimetres as 16-bit whole numbers; 0 and NaN are holes.
         mask: (H, W), not zero at the target's pixels.
         time: seconds when it was taken, by the clock of the loop.
+        joints: (7,) angles of the arm then, rad; None where only those after the picture was read are known.
     """
 
     depth: np.ndarray
     mask: np.ndarray
     time: float
+    joints: np.ndarray | None = None
 
 
 class DepthCamera(Protocol):

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from torchgrasp.deploy.limits import ArmLimits
-from torchgrasp.errors import ConfigError, MissingPackageError, StopError
+from torchgrasp.errors import ConfigError, MissingPackageError, StopError, check_range
 from torchgrasp.sim.kinematics import HAND_YAW, forward_kinematics
 
 _POLL = 0.002  # seconds between two questions whether a motion is over
@@ -60,7 +60,11 @@ class FrankaArm:
             self._robot.translation_velocity_limit.set(self.limits.speed)
             self._robot.rotation_velocity_limit.set(self.limits.turn_rate)
             self._gripper = franky.Gripper(host)
-        self._check_frames()
+        try:
+            self._check_frames()
+        except BaseException:
+            del self._robot, self._gripper
+            raise
 
     def __enter__(self) -> FrankaArm:
         return self
@@ -103,10 +107,22 @@ class FrankaArm:
         self._wait(self._in_motion)
 
     def go_to_joints(self, q: np.ndarray, *, speed: float = 0.1) -> None:
-        """Move to (7,) angles, rad, at a share of the joints' speed; returns when the arm is there."""
-        target = np.asarray(q, dtype=np.float64).tolist()
+        """Move to (7,) angles, rad, at a share of the joints' speed; returns when the arm is there.
+
+        The end is held against the limits; the way there is not.
+
+        Raises:
+            ConfigError: where `q` is no posture, or `speed` no share.
+            StopError: where the arm would stand outside the limits, or stops on its way.
+        """
+        check_range("speed", speed, 0.0, 1.0, open_low=True)
+        target = np.asarray(q, dtype=np.float64)
+        if target.shape != (7,) or not np.isfinite(target).all():
+            raise ConfigError(f"q={q} is no posture: give the seven angles in radians.")
+        self.limits.check_joints(target)
+        self.limits.check_pose(forward_kinematics(target[None])[0])
         with self._telling():
-            motion = self._franky.JointMotion(target, relative_dynamics_factor=speed)
+            motion = self._franky.JointMotion(target.tolist(), relative_dynamics_factor=speed)
             self._robot.move(motion, asynchronous=True)
         self._wait(self._in_motion)
 
@@ -120,7 +136,10 @@ class FrankaArm:
         self._wait_for(lambda: self._gripper.move_async(_OPEN, _OPENING_SPEED))
 
     def stop(self) -> None:
-        """See `Arm.stop`: the arm brakes on its way; a motion that cannot brake is cut off."""
+        """See `Arm.stop`: the arm brakes on its way; a motion that cannot brake is cut off.
+
+        Fingers that are on their way end it: franky gives the hand no command before the last one is over.
+        """
         franky, robot = self._franky, self._robot
         with contextlib.suppress(Exception):
             if not robot.is_in_control:
@@ -172,6 +191,7 @@ class FrankaArm:
         with self._telling():
             while busy():
                 if time.monotonic() > until:
+                    self.stop()
                     raise StopError("robot", f"a motion is not over after {_PATIENCE:g} s")
                 time.sleep(_POLL)
 

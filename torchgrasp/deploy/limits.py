@@ -22,6 +22,7 @@ FR3_JOINTS: Bounds = (
 PANDA_JOINTS: Bounds = (tuple(JOINT_LOWER.tolist()), tuple(JOINT_UPPER.tolist()))
 
 # Shares of the way and of the turn that are tried where a joint's limit is in the way.
+_MISSED = 0.005  # metres from a pose at which the arm does not come there
 _SHARES = ((1.0, 1.0), (1.0, 0.75), (1.0, 0.5), (1.0, 0.25), (1.0, 0.0), (0.5, 0.0))
 
 
@@ -99,6 +100,8 @@ class ArmLimits:
                     f"the hand would be at {axis} = {place:.3f} m, outside of the workspace's {low:g} to "
                     f"{high:g}",
                 )
+        if not np.isfinite(T_base_ee).all():
+            raise StopError("limits", "the hand's pose has NaN or infinity")
         above = float(lowest_point(T_base_ee)) - self.table_height
         if above < self.clearance:
             raise StopError(
@@ -120,6 +123,9 @@ class ArmLimits:
         for way, turn in _SHARES:
             pose = _go_part(here, T_base_target, way, turn)
             found, _ = track_within_limits(q, pose[None], lower=-free, upper=free)
+            left = forward_kinematics(found)[0, :3, 3] - pose[:3, 3]
+            if np.linalg.norm(left) > _MISSED:
+                continue
             nearer = np.minimum(found - lower, upper - found) > np.minimum(q - lower, upper - q)
             if (nearer | ((found > lower + spare) & (found < upper - spare))).all():
                 return pose
@@ -150,7 +156,10 @@ def _go_part(T_base_ee: NDArray, T_base_target: NDArray, way: float, turn: float
 
 
 def _check_bounds(name: str, bounds: Bounds, size: int) -> None:
-    lower, upper = bounds
-    ordered = len(lower) == len(upper) == size and all(a < b for a, b in zip(lower, upper, strict=True))
+    try:
+        pair = np.asarray(bounds, dtype=np.float64)
+        ordered = pair.shape == (2, size) and bool((pair[0] < pair[1]).all())
+    except (TypeError, ValueError):
+        ordered = False
     if not ordered:
         raise ConfigError(f"{name}={bounds}: give {size} lower numbers and {size} upper ones above them.")

@@ -285,11 +285,11 @@ class GraspPolicy:
             raise PolicyError(f"camera={camera}: give width, height and fx ({error}).") from error
         finest = max(1, int(min(self.camera.focal) / (2 * self.settings["camera"]["fx"])))
         self._thin = finest if thin is None else thin
-        if not 1 <= self._thin <= min(self.camera.width, self.camera.height):
+        if int(self._thin) != self._thin or not 1 <= self._thin <= min(self.camera.width, self.camera.height):
             raise PolicyError(f"thin={thin} is out of range: give a whole number from 1 on.")
         self._hand_camera = None if T_ee_camera is None else _read_pose("T_ee_camera", T_ee_camera)
-        self._max_age, self._holes_are_empty = max_age, holes_are_empty
-        self._table_height = float(table_height)
+        self._max_age, self._holes_are_empty = _read_number("max_age", max_age, 0.0), holes_are_empty
+        self._table_height = _read_number("table_height", table_height, -10.0)
         lens = self.camera.thin_out(self._thin)
         self._transforms = [
             TRANSFORMS[each["name"]](lens, **{**each, "table_height": self._table_height})
@@ -334,8 +334,7 @@ class GraspPolicy:
             raise PolicyError(
                 f"The episode of {self.horizon} steps is over: close the fingers, lift, and call reset."
             )
-        if not age >= 0.0:
-            raise PolicyError(f"age={age}: give seconds since the picture was taken, 0 or more.")
+        age = _read_number("age", age, 0.0)
         seen, hand = self._read_arm(joints, T_base_ee)
         camera = self._find_camera(T_base_camera, hand)
         depth, mask, problem = self._read_picture(depth, mask)
@@ -356,9 +355,10 @@ class GraspPolicy:
         inputs = {name: np.asarray(seen[name], np.float32)[None] for name in self.settings["inputs"]}
         said = dict(zip(self.settings["outputs"], self._session.run(None, inputs), strict=True))
         bound = np.array(self.settings["action_bound"])
-        action = np.clip(np.asarray(said["action"][0]), -bound, bound).astype(np.float32)
+        action = np.asarray(said["action"][0])
         if not np.isfinite(action).all():
             raise PolicyError("The policy's action has NaN or infinity: do not move.")
+        action = np.clip(action, -bound, bound).astype(np.float32)
         goal = np.full((4, 4), np.nan)
         if "goal_prediction" in said:
             goal = hand @ _goal_to_pose(np.asarray(said["goal_prediction"][0], np.float64))
@@ -490,6 +490,16 @@ def _read_numbers(name: str, value: Any) -> np.ndarray:
     return numbers
 
 
+def _read_number(name: str, value: Any, lowest: float) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise PolicyError(f"{name}={value!r} is no number ({error}).") from error
+    if not lowest <= number < float("inf"):
+        raise PolicyError(f"{name}={value} is out of range: give a number of at least {lowest:g}.")
+    return number
+
+
 def _read_pose(name: str, value: Any) -> np.ndarray:
     pose = _read_numbers(name, value)
     if pose.shape != (4, 4):
@@ -556,6 +566,9 @@ def _open_network(file: Path, inputs: list[str]) -> Any:
 
 
 if __name__ == "__main__":
-    policy = GraspPolicy(sys.argv[1] if len(sys.argv) > 1 else "policy.json")
+    try:
+        policy = GraspPolicy(sys.argv[1] if len(sys.argv) > 1 else "policy.json")
+    except PolicyError as error:
+        sys.exit(f"error: {error}")
     made = ", ".join(each["name"] for each in policy.settings["transforms"])
     print(f"{policy.horizon} steps; reads {', '.join(policy.settings['inputs'])}; transforms: {made}")

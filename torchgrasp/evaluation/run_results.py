@@ -28,6 +28,8 @@ from torchgrasp.runs.summary import ObjectRow, Summary
 _NOT_OF_SCENES = ("env.num_envs", "env.action_space", "objects.num_grasps")
 _OF_EVALUATION = ("seed", "episodes", "num_envs")
 _NO_TABLES = ("objects", "comparison", "versions", "hardware", "failures", "never_lifted", "demonstrations")
+# The engine of runs of before there were two, which name none.
+FIRST_ENGINE = {"_target_": "torchgrasp.sim.SapienEngine"}
 _REMEDY = "restore it from a copy, or give other run directories of the recipes"
 
 
@@ -39,6 +41,7 @@ class RunConfig(OpenDocument):
     evaluation: dict[str, Any] = Field({})
     objects: dict[str, Any] = Field({})
     env: dict[str, Any] = Field({})
+    engine: dict[str, Any] | None = None
 
 
 class _Objects(OpenDocument):
@@ -121,6 +124,9 @@ def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
     if evaluation.get("target_motion") is not None:  # of the evaluation's targets alone
         env["target_motion"] = evaluation["target_motion"]
     parts = {"evaluation": chosen, "objects": objects, "env": env}
+    engine = config.get("engine")
+    if engine is not None and engine != FIRST_ENGINE:
+        parts["engine"] = engine
     return {name: value for name, value in flatten(parts) if name not in _NOT_OF_SCENES}
 
 

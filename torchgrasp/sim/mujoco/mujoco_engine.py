@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -53,10 +54,10 @@ class MujocoEngine(Engine):
             check_range(name, getattr(self, name), 0.0, float("inf"))
         if self.condim not in (3, 4, 6):
             raise ConfigError(f"condim={self.condim} is unknown: give 3, 4 or 6.")
-        if len(self.impedance) != 2:
+        if not isinstance(self.impedance, Sequence) or len(self.impedance) != 2:
             raise ConfigError(f"impedance={self.impedance} is no pair: give [at the surface, 1 mm deep].")
         for i, value in enumerate(self.impedance):
-            check_range(f"impedance[{i}]", value, 0.0, 1.0, open_low=True)
+            check_range(f"impedance[{i}]", value, 0.0, 0.9999, open_low=True)
         object.__setattr__(self, "impedance", tuple(self.impedance))
 
     def build(self, placement: Placement) -> World:

@@ -14,6 +14,7 @@ from torchgrasp.sim.panda_tables import FINGER_OPEN
 from torchgrasp.sim.world import Placement, World
 
 _ROBOT = 9  # joints of arm and hand, which come first
+_UNSTABLE = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")  # after which MuJoCo begins anew
 
 
 class MujocoWorld(World):
@@ -108,11 +109,12 @@ class MujocoWorld(World):
 
     def _advance(self, rate: int) -> None:
         self._model.opt.timestep = 1.0 / (rate * self._substeps)
-        data, before = self._data, self._data.time
+        data = self._data
         for _ in range(self._substeps):
             data.ctrl[:7] = self._drives.control(data.qpos[:7], data.qvel[:7])
             mujoco.mj_step(self._model, data)
-        if data.time <= before:
+        if any(data.warning[int(getattr(mujoco.mjtWarning, name))].number for name in _UNSTABLE):
             raise TorchgraspError(
-                "MuJoCo became unstable and began anew: raise the engine's `substeps`, or the physics' rates."
+                f"MuJoCo became unstable with {self.placement.target.name}: raise the engine's `substeps`, "
+                "or the physics' rates."
             )

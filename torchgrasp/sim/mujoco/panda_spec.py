@@ -65,14 +65,15 @@ def add_panda(spec: Any, *, link: dict[str, Any], finger: dict[str, Any], finger
     for side, name in ((1.0, "left_finger"), (-1.0, "right_finger")):
         shapes = FINGER_SHAPES if side > 0 else tuple(mirrored(shape) for shape in FINGER_SHAPES)
         body = _add_link(hand, name, FINGER_INERTIAL, shapes, finger, pos=(0, 0, FINGER_MOUNT))
-        # A drive of this force cannot move the finger faster than it may: MuJoCo knows no limit of speeds.
+        # A drive of this force, or of what its spring has at most, cannot move the finger faster than it may:
+        # MuJoCo knows no limit of speeds.
         body.add_joint(
             name=name,
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=(0, side, 0),
             range=(0.0, FINGER_OPEN),
             armature=FINGER_ARMATURE,
-            damping=finger_force / FINGER_VELOCITY,
+            damping=min(finger_force, 2 * FINGER_STIFFNESS * FINGER_OPEN) / FINGER_VELOCITY,
             **_STOP,
         )
         _add_drive(spec, name, FINGER_STIFFNESS, 0.0, finger_force)

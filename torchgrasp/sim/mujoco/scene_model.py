@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Any
@@ -12,12 +11,12 @@ import numpy as np
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.mujoco._mujoco import mujoco
 from torchgrasp.sim.mujoco.panda_spec import FINGER_PRIORITY, LINK_PRIORITY, add_panda
-from torchgrasp.sim.mujoco.target_spec import Distribution, add_target, distribute
+from torchgrasp.sim.mujoco.target_spec import add_target, distribute
 from torchgrasp.sim.panda_tables import BODY_FRICTION
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 
-_KEPT = 128  # models, of some 100 kB each
+_KEPT = 1024  # models, of some 40 kB each
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def _compile(target: GraspObject, physics: Physics, contact: Contact, held: bool
         finger=touch((physics.finger_friction + physics.friction) / 2, FINGER_PRIORITY),
         finger_force=physics.finger_force,
     )
-    spread = _spread(target)
+    spread = distribute(target)
     add_target(spec, target, spread, mass=physics.mass, held=held, contact=plain)
     model: Any = spec.compile()
     if not held:
@@ -96,8 +95,3 @@ def _compile(target: GraspObject, physics: Physics, contact: Contact, held: bool
         model.dof_damping[start : start + 3] = linear * physics.mass
         model.dof_damping[start + 3 : start + 6] = angular * model.body("target").inertia
     return SceneModel(model, spread.T_object_principal)
-
-
-@functools.lru_cache(maxsize=_KEPT)
-def _spread(target: GraspObject) -> Distribution:
-    return distribute(target)
