@@ -141,7 +141,12 @@ def test_ctrl_c_stops_the_arm():
         loop = make_loop(
             rehearsal, arm, tell=lambda step, _: signal.raise_signal(signal.SIGINT) if step == 4 else None
         )
-        outcome = loop.run()
+        # What is started in the background ignores ctrl-C.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            outcome = loop.run()
+        finally:
+            signal.signal(signal.SIGINT, before)
         assert (outcome.cause, outcome.steps) == ("interrupted", 4)
         assert is_at_rest(rehearsal)
 

@@ -67,5 +67,5 @@ class DryArm:
         way = 1000 * float(np.linalg.norm(T_base_ee[:3, 3] - here[:3, 3]))
         cosine = (np.trace(here[:3, :3].T @ T_base_ee[:3, :3]) - 1) / 2
         turn = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
-        x, y, z = T_base_ee[:3, 3].tolist()
+        x, y, z = (T_base_ee[:3, 3].round(3) + 0.0).tolist()  # no -0.000
         return f"x {x:.3f}, y {y:.3f}, z {z:.3f} m: {way:.0f} mm and {turn:.0f} degrees away"
