@@ -133,7 +133,6 @@ class _Stage:
             arm,
             self._agent,
             RehearsalCamera(rehearsal, self._camera),
-            limits=self._limits,
             watchdog=self._watchdog,
             clock=rehearsal.clock,
         )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from torchgrasp.sim.kinematics import forward_kinematics
 
@@ -65,7 +66,6 @@ class DryArm:
     def _tell(self, T_base_ee: np.ndarray) -> str:
         here = forward_kinematics(self.joints[None])[0]
         way = 1000 * float(np.linalg.norm(T_base_ee[:3, 3] - here[:3, 3]))
-        cosine = (np.trace(here[:3, :3].T @ T_base_ee[:3, :3]) - 1) / 2
-        turn = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        turn = np.degrees(Rotation.from_matrix(here[:3, :3].T @ T_base_ee[:3, :3]).magnitude())
         x, y, z = (T_base_ee[:3, 3].round(3) + 0.0).tolist()  # no -0.000
         return f"x {x:.3f}, y {y:.3f}, z {z:.3f} m: {way:.0f} mm and {turn:.0f} degrees away"

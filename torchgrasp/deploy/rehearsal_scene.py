@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from torchgrasp.objects.model import GraspObject
+from torchgrasp.sim.mujoco.target_spec import distribute
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 
@@ -93,12 +94,10 @@ def _add_object(
 
 def object_inertia(target: GraspObject, mass: float) -> np.ndarray:
     """(3, 3) inertia about the object's origin, kg m2, of its parts at one density."""
-    total, volume = np.zeros((3, 3)), 0.0
-    for part in target.parts:
-        hull = trimesh.PointCloud(part).convex_hull
-        total += hull.moment_inertia_frame(np.eye(4))
-        volume += hull.volume
-    return mass / volume * (total + total.T) / 2
+    spread = distribute(target)
+    axes, centre = spread.T_object_principal[:3, :3], spread.T_object_principal[:3, 3]
+    about_centre = (axes * spread.moments) @ axes.T
+    return mass * (about_centre + centre @ centre * np.eye(3) - np.outer(centre, centre))
 
 
 def damp_object(model: Any, target: GraspObject, physics: Physics) -> None:

@@ -32,6 +32,7 @@ class MujocoWorld(World):
     def __init__(self, placement: Placement, contact: Contact, *, substeps: int) -> None:
         super().__init__(placement)
         self._contact, self._substeps = contact, substeps
+        self._unstable = [int(getattr(mujoco.mjtWarning, name)) for name in _UNSTABLE]
         self._drives = ArmDrives(placement.q)
         self._enter(held=placement.held, T_base_object=placement.T_base_object)
         self._data.qpos[:7], self._data.qpos[7:_ROBOT] = placement.q, FINGER_OPEN
@@ -113,7 +114,7 @@ class MujocoWorld(World):
         for _ in range(self._substeps):
             data.ctrl[:7] = self._drives.control(data.qpos[:7], data.qvel[:7])
             mujoco.mj_step(self._model, data)
-        if any(data.warning[int(getattr(mujoco.mjtWarning, name))].number for name in _UNSTABLE):
+        if any(data.warning[kind].number for kind in self._unstable):
             raise TorchgraspError(
                 f"MuJoCo became unstable with {self.placement.target.name}: raise the engine's `substeps`, "
                 "or the physics' rates."
