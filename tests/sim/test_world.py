@@ -98,6 +98,16 @@ def test_no_step_turns_a_joint_faster_than_it_may(engine, brick):
     assert world.joints[0] - READY[0] > 0.2
 
 
+def test_a_wrist_that_is_turned_to_and_fro_arrives_each_time(engine, brick):
+    world = make_world(engine, Physics(), brick, pose_at(0.5, 0.4, 0.04), READY)
+    lag = []
+    for i in range(12):
+        to = READY + np.where(np.arange(7) >= 4, 0.1 * (-1) ** i, 0.0)
+        world.drive(to)
+        lag.append(np.abs(world.joints[:7] - to).max())
+    assert max(lag[1:]) < 0.02
+
+
 def test_gripping_and_lifting_a_box_returns_its_rise(engine, brick):
     worlds = Worlds(2, engine=engine)
     grasp = hand_above(0.5, 0.0, 0.04 + 0.1034)

@@ -37,6 +37,7 @@ class MujocoWorld(World):
         self._enter(held=placement.held, T_base_object=placement.T_base_object)
         self._data.qpos[:7], self._data.qpos[7:_ROBOT] = placement.q, FINGER_OPEN
         self._lead_fingers(FINGER_OPEN)
+        mujoco.mj_forward(self._model, self._data)  # the drives ask for the forces on the arm
 
     def _enter(self, *, held: bool, T_base_object: np.ndarray) -> None:
         """Begin with fresh data in the model in which the target is held, or free."""
@@ -107,12 +108,13 @@ class MujocoWorld(World):
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self._data, name)[:_ROBOT] = getattr(before, name)[:_ROBOT]
         self._data.ctrl[:] = before.ctrl
+        mujoco.mj_forward(self._model, self._data)
 
     def _advance(self, rate: int) -> None:
         self._model.opt.timestep = 1.0 / (rate * self._substeps)
         data = self._data
         for _ in range(self._substeps):
-            data.ctrl[:7] = self._drives.control(data.qpos[:7], data.qvel[:7])
+            self._drives.prepare(self._model, data)
             mujoco.mj_step(self._model, data)
         if any(data.warning[kind].number for kind in self._unstable):
             raise TorchgraspError(

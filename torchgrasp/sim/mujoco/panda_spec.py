@@ -29,7 +29,7 @@ from torchgrasp.sim.panda_tables import (
     mirrored,
 )
 
-# A joint's stop gives way by tenths of a millimetre under a drive's whole force.
+# A joint's stop gives way by tenths of a millimetre or 2 mrad under a drive's whole force.
 _STOP = {"limited": True, "solref_limit": (0.005, 1.0), "solimp_limit": (0.99, 0.999, 1e-3, 0.5, 2.0)}
 # Of geoms: the higher one's friction and contact hold.
 LINK_PRIORITY, FINGER_PRIORITY = 1, 2
@@ -54,8 +54,8 @@ def add_panda(spec: Any, *, link: dict[str, Any], finger: dict[str, Any], finger
             name=f"joint{i}",
             type=mujoco.mjtJoint.mjJNT_HINGE,
             axis=(0, 0, 1),
-            limited=True,
             range=(low, high),
+            **_STOP,
         )
         _add_drive(spec, f"joint{i}", ARM_STIFFNESS, ARM_DAMPING)
     half = kinematics.HAND_YAW / 2
