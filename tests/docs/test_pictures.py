@@ -16,7 +16,7 @@ _SHOWN = re.compile(r"!\[([^\]]*)\]\([^)]*?pictures/([^)]+)\)")
 def test_every_picture_is_shown_with_words():
     pages = [_ROOT / "README.md", *(_ROOT / "docs").rglob("*.md")]
     words = {file: told for page in pages for told, file in _SHOWN.findall(page.read_text())}
-    pictures = {path.name for path in _PICTURES.iterdir() if path.suffix in (".png", ".jpg")}
+    pictures = {path.name for path in _PICTURES.iterdir() if path.suffix in (".png", ".jpg", ".webp")}
     assert words.keys() == pictures
     assert all(len(told.split()) > 3 for told in words.values())
 
