@@ -68,6 +68,10 @@ class StopError(TorchgraspError):
         self.cause = cause
 
 
+class UnstableError(TorchgraspError):
+    """A world whose physics no longer tells where its bodies are; only a new one helps."""
+
+
 class RenderError(TorchgraspError):
     """Rendering was asked for where it cannot work: no Vulkan device, or a forked process."""
 

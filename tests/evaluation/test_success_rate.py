@@ -1,6 +1,7 @@
 """What an evaluation counts: the first scenes, in order, whoever runs them."""
 
 import functools
+from typing import Any
 
 import pytest
 import torch
@@ -13,15 +14,15 @@ from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.rollouts import SerialPool
 from torchgrasp.rollouts.episode_pool import copy_for_rollouts
-from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+from torchgrasp.sim import CameraIntrinsics, MujocoEngine, RaycastCamera
 
 OBJECTS = ProceduralObjects("train", num_objects=2, num_grasps=100)
 STAND = TensorDictModule(lambda time_left: torch.zeros(*time_left.shape[:-1], 6), ["time_left"], ["action"])
 
 
-def make_env(num_envs: int, horizon: int) -> GraspEnv:
+def make_env(num_envs: int, horizon: int, **options: Any) -> GraspEnv:
     camera = RaycastCamera(CameraIntrinsics(width=12, height=12))
-    return GraspEnv(num_envs, objects=OBJECTS, camera=camera, horizon=horizon, seed=0)
+    return GraspEnv(num_envs, objects=OBJECTS, camera=camera, horizon=horizon, seed=0, **options)
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +76,18 @@ def test_what_is_no_module_acts_itself():
         return tensordict
 
     assert copy_for_rollouts(act) is act
+
+
+def test_an_episode_whose_physics_breaks_is_a_failure_and_the_others_go_on():
+    """Contacts that resist turning beyond all measure: in some scenes MuJoCo finds no solution."""
+    engine, watched = MujocoEngine(substeps=1, torsion=1e6, impratio=1e10), []
+    with SerialPool({"test": functools.partial(make_env, 3, 5, engine=engine)}) as pool:
+        table = evaluate_policy(
+            pool, STAND, num_episodes=6, num_envs=3, description="broken", watch=[watched.append]
+        )
+    broken = [each for each in watched if each.failure == "the physics became unstable"]
+    assert table["failures"]["the physics became unstable"] == len(broken)
+    assert table["episodes"] == 6 and 0 < len(broken) < 6
+    for each in watched:
+        assert len(each.steps) == 5 or each.failure == "the physics became unstable"
+        assert each.steps["next", "joints"].isfinite().all() and each.steps["next", "done"].sum() == 1

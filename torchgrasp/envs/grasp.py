@@ -32,7 +32,8 @@ class GraspEnv(EnvBase):
 
     An episode lasts `horizon` steps of 0.15 s. After the last the fingers close, the hand lifts, and
     the reward is 1 where the object rose by 8 cm, else 0. It also ends, unrewarded, when the object
-    falls off the table. Both ends are terminal: nothing is bootstrapped.
+    falls off the table, and where the physics becomes unstable (`worlds.unstable`). All ends are terminal:
+    nothing is bootstrapped.
 
     World i draws its episodes from (seed, first_world + i, episode number) and shares nothing with
     its neighbours, so that the same actions give the same episode whatever num_envs is.
@@ -266,12 +267,13 @@ class GraspEnv(EnvBase):
         """End the episodes that are due among `rows`; (N, 1) reward of this step."""
         T_base_object, T_base_ee = self.worlds.T_base_object, self.worlds.T_base_ee
         heights = T_base_object[rows, 2, 3]
-        fallen, due = rows[heights < _FALLEN], rows[heights >= _FALLEN]
+        ended = (heights < _FALLEN) | self.worlds.unstable[rows]
+        lost, due = rows[ended], rows[~ended]
         last = [row for row in due.tolist() if self._is_last(row, T_base_object[row], T_base_ee[row])]
         reward = np.zeros((self.num_envs, 1), dtype=np.float32)
         if last:
             reward[last, 0] = self.worlds.close_and_lift(last) >= LIFTED
-        self._over[fallen] = self._over[last] = True
+        self._over[lost] = self._over[last] = True
         return reward
 
     def _is_last(self, row: int, T_base_object: np.ndarray, T_base_ee: np.ndarray) -> bool:

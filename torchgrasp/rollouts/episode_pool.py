@@ -173,12 +173,13 @@ class EpisodeRunner:
         names = env.objects.names
         ends = [("next", key) for key in ("reward", "terminated", "truncated", "done")]
         episodes = []
-        gaps = getattr(env, "base_env", env).worlds.joints[:, 7:].sum(-1)
-        for row, gap in zip(batch, gaps, strict=True):
+        worlds = getattr(env, "base_env", env).worlds
+        gaps = worlds.joints[:, 7:].sum(-1)
+        for row, gap, unstable in zip(batch, gaps, worlds.unstable, strict=True):
             length = int(row["next", "done"].squeeze(-1).int().argmax()) + 1
             object_name = names[int(row[keys.OBJECT_ID][0])]
             world = int(row[keys.WORLD][0])
-            failure = failure_cause(row[:length], float(gap))
+            failure = failure_cause(row[:length], float(gap), unstable=bool(unstable))
             if self.keep is not None:
                 row = row.select(*self.keep, *(("next", key) for key in self.keep), *ends, strict=False)
             episodes.append(Episode(row[:length].clone(), object_name, world, number, failure))

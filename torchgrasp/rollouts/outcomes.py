@@ -15,16 +15,19 @@ _EMPTY = 1e-3  # metres between pads that hold nothing
 _STOPPED_STEPS, _STOPPED_SHORT, _STOPPED_TURN = 3, 0.02, 0.1
 
 
-def failure_cause(steps: TensorDictBase, gap: float) -> str | None:
+def failure_cause(steps: TensorDictBase, gap: float, *, unstable: bool) -> str | None:
     """The cause in words, None for an episode that succeeded.
 
     Args:
         steps: (T,) the episode, all keys of the environment, with PLAN_STATUS where a planner acted; its last
             word counts.
         gap: metres between the finger pads after the attempt to lift.
+        unstable: whether the physics became unstable.
     """
     if steps["next", "reward"].sum() > 0:
         return None
+    if unstable:
+        return "the physics became unstable"
     status = steps.get(keys.PLAN_STATUS, None)
     told = [] if status is None else [number for number in status[:, 0].tolist() if number != NO_PLANNER]
     if told and told[-1] != PlanStatus.OK.number:

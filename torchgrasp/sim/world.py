@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from torchgrasp.errors import UnstableError
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.objects.surface import surface_points
 from torchgrasp.sim import kinematics
@@ -50,6 +51,7 @@ class World(ABC):
 
     An engine's own world says how its bodies are read, driven and stepped; what is done with them is here,
     once for all engines. At the end of `__init__` the arm stands at the placement's q, fingers open, at rest.
+    Where a motion makes the physics unstable, UnstableError is raised; the world is then of no use.
 
     Args:
         placement: how the episode begins.
@@ -110,7 +112,10 @@ class World(ABC):
 
     @abstractmethod
     def _advance(self, rate: int) -> None:
-        """One physics step of 1 / rate seconds."""
+        """One physics step of 1 / rate seconds.
+
+        An engine that begins anew where a number is out of its range raises UnstableError here.
+        """
 
     def copy(self) -> World:
         """Another world in which arm and target are where they are in this one, at rest, the fingers open."""
@@ -190,6 +195,7 @@ class World(ABC):
             if self._carried is not None:
                 self._carry(i / num_substeps)
             self._advance(rate)
+        self._check_stable()
 
     def _carry(self, share: float) -> None:
         """Move the held target a share of its way, position alone: it arrives turned as it is told to be."""
@@ -202,3 +208,11 @@ class World(ABC):
     def _step(self, seconds: float, rate: int) -> None:
         for _ in range(max(1, round(seconds * rate))):
             self._advance(rate)
+        self._check_stable()
+
+    def _check_stable(self) -> None:
+        if not (np.isfinite(self.joints).all() and np.isfinite(self.T_base_object).all()):
+            raise UnstableError(
+                f"The physics became unstable with {self.placement.target.name}: raise the physics' rates, "
+                "or look at its masses and forces."
+            )

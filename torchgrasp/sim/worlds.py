@@ -6,10 +6,13 @@ The seam behind which the engines stand: nothing outside sim/ sees a single worl
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 
 import numpy as np
 
+from torchgrasp.errors import UnstableError
 from torchgrasp.sim import kinematics
 from torchgrasp.sim.camera import Camera, View
 from torchgrasp.sim.engine import Engine
@@ -19,6 +22,9 @@ from torchgrasp.sim.world import Placement, World
 
 class Worlds:
     """A batch of independent worlds in one process; reads are copies of what the last write left.
+
+    A world whose physics becomes unstable ends for itself alone: what is read of it stays as it was before,
+    and nothing moves it until an episode begins in it again.
 
     Args:
         num_worlds: N.
@@ -33,6 +39,7 @@ class Worlds:
     def __init__(self, num_worlds: int, *, engine: Engine | EngineName = "sapien") -> None:
         self.engine = make_engine(engine)
         self._worlds: list[World | None] = [None] * num_worlds
+        self._unstable = np.zeros(num_worlds, dtype=bool)
         self.watcher: Callable[[int], None] | None = None
         self._joints, self._joint_velocities = np.zeros((2, num_worlds, 9))
         self._T_base_ee, self._T_base_object = np.tile(np.eye(4), (2, num_worlds, 1, 1))
@@ -42,7 +49,7 @@ class Worlds:
 
     def place(self, row: int, placement: Placement) -> None:
         """Begin an episode in world `row`, the arm at rest."""
-        self._worlds[row] = self.engine.build(placement)
+        self._worlds[row], self._unstable[row] = self.engine.build(placement), False
         self._read([row])
 
     def _placed(self) -> list[World]:
@@ -56,6 +63,8 @@ class Worlds:
         for row in rows:
             world = self._worlds[row]
             assert world is not None
+            if self._unstable[row]:
+                continue
             self._joints[row], self._joint_velocities[row] = world.joints, world.joint_velocities
             self._T_base_object[row] = world.T_base_object
         index = list(rows)
@@ -81,6 +90,11 @@ class Worlds:
         """(N, 4, 4) poses of the targets."""
         return self._T_base_object.copy()
 
+    @property
+    def unstable(self) -> np.ndarray:
+        """(N,) bool: worlds whose physics became unstable in their episode."""
+        return self._unstable.copy()
+
     def observe(self, camera: Camera) -> dict[str, np.ndarray]:
         """(N, H, W, ...) pictures of one camera in every world by channel, see `Camera.observe`."""
         pictures = []
@@ -94,8 +108,18 @@ class Worlds:
         """One control step of the worlds `rows` towards postures (len(rows), 7)."""
         worlds = self._placed()
         for row, target in zip(rows, q, strict=True):
-            worlds[row].drive(target)
+            if not self._unstable[row]:
+                with self._noting(row):
+                    worlds[row].drive(target)
         self._read(rows)
+
+    @contextmanager
+    def _noting(self, row: int) -> Iterator[None]:
+        """Note where world `row` becomes unstable."""
+        try:
+            yield
+        except UnstableError:
+            self._unstable[row] = True
 
     def move_target(self, row: int, T_base_object: np.ndarray) -> None:
         """Put the target of world `row` at a (4, 4) pose; a held one gets there in the next `drive`."""
@@ -121,7 +145,7 @@ class Worlds:
             T_base_object: (4, 4) pose that the target moves to before the step, None where it stays.
 
         Returns:
-            (M,) metres.
+            (M,) metres; NaN where the physics became unstable.
         """
         return np.array([self._try(row, q, T_base_object) for q in postures])
 
@@ -129,15 +153,24 @@ class Worlds:
         world = self._placed()[row].copy()
         if T_base_object is not None:
             world.move_target(T_base_object)
-        world.drive(q)
-        return _close_and_lift(world)
+        with suppress(UnstableError):
+            world.drive(q)
+            return _close_and_lift(world)
+        return math.nan
 
     def close_and_lift(self, rows: Sequence[int]) -> np.ndarray:
-        """Close the fingers and lift in the worlds `rows`; (len(rows),) metres that each target rose."""
-        worlds = self._placed()
-        risen = [_close_and_lift(worlds[row], functools.partial(self._show, row)) for row in rows]
+        """Close the fingers and lift in the worlds `rows`.
+
+        Returns:
+            (len(rows),) metres that each target rose; NaN where the physics became unstable.
+        """
+        worlds, risen = self._placed(), np.full(len(rows), np.nan)
+        for i, row in enumerate(rows):
+            if not self._unstable[row]:
+                with self._noting(row):
+                    risen[i] = _close_and_lift(worlds[row], functools.partial(self._show, row))
         self._read(rows)
-        return np.array(risen)
+        return risen
 
 
 def _close_and_lift(world: World, show: Callable[[], object] = lambda: None) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from torchgrasp.errors import TorchgraspError
+from torchgrasp.errors import UnstableError
 from torchgrasp.sim.mujoco._mujoco import mujoco
 from torchgrasp.sim.mujoco.arm_drives import ArmDrives
 from torchgrasp.sim.mujoco.scene_model import Contact, compile_scene
@@ -15,6 +15,10 @@ from torchgrasp.sim.world import Placement, World
 
 _ROBOT = 9  # joints of arm and hand, which come first
 _UNSTABLE = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")  # after which MuJoCo begins anew
+
+
+def _ignore(_: str) -> None:
+    """Say nothing of a warning: those that matter are raised."""
 
 
 class MujocoWorld(World):
@@ -113,11 +117,15 @@ class MujocoWorld(World):
     def _advance(self, rate: int) -> None:
         self._model.opt.timestep = 1.0 / (rate * self._substeps)
         data = self._data
+        # MuJoCo would print a warning, and write it to a file of the folder in which this runs.
+        before = mujoco.get_mju_user_warning()
+        mujoco.set_mju_user_warning(_ignore)
         for _ in range(self._substeps):
             self._drives.prepare(self._model, data)
             mujoco.mj_step(self._model, data)
+        mujoco.set_mju_user_warning(before)
         if any(data.warning[kind].number for kind in self._unstable):
-            raise TorchgraspError(
+            raise UnstableError(
                 f"MuJoCo became unstable with {self.placement.target.name}: raise the engine's `substeps`, "
                 "or the physics' rates."
             )
