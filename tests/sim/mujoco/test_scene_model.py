@@ -13,7 +13,6 @@ from torchgrasp.objects.solids import box
 from torchgrasp.sim import MujocoEngine, Physics, Placement
 from torchgrasp.sim import kinematics as kin
 from torchgrasp.sim.mujoco.mujoco_world import MujocoWorld
-from torchgrasp.sim.mujoco.scene_model import compile_scene
 from torchgrasp.sim.panda_tables import FINGER_INERTIAL, HAND_INERTIAL, IGNORE_BITS, INERTIALS
 
 LINKS = (*(f"link{i}" for i in range(8)), "hand", "left_finger", "right_finger")
@@ -114,12 +113,3 @@ def test_what_is_as_flat_as_paper_has_a_model():
     for _ in range(3):
         world.drive(kin.READY_POSTURE)
     assert world.T_base_object[2, 3] < 0.45
-
-
-def test_a_scene_is_compiled_once_for_its_numbers(brick, can):
-    contact = make_world(brick)._contact
-    first = compile_scene(brick, Physics(), contact, held=False)
-    assert compile_scene(brick, Physics(free_rate=90), contact, held=False) is first
-    assert compile_scene(brick, Physics(), contact, held=True) is not first
-    assert compile_scene(brick, Physics(mass=0.2), contact, held=False) is not first
-    assert compile_scene(can, Physics(), contact, held=False) is not first

@@ -9,7 +9,7 @@ import numpy as np
 from torchgrasp.errors import UnstableError
 from torchgrasp.sim.mujoco._mujoco import mujoco
 from torchgrasp.sim.mujoco.arm_drives import ArmDrives
-from torchgrasp.sim.mujoco.scene_model import Contact, compile_scene
+from torchgrasp.sim.mujoco.scene_model import Contact, make_scene
 from torchgrasp.sim.panda_tables import FINGER_OPEN
 from torchgrasp.sim.world import Placement, World
 
@@ -45,9 +45,9 @@ class MujocoWorld(World):
 
     def _enter(self, *, held: bool, T_base_object: np.ndarray) -> None:
         """Begin with fresh data in the model in which the target is held, or free."""
-        scene = compile_scene(self.placement.target, self.placement.physics, self._contact, held=held)
+        scene = make_scene(self.placement.target, self.placement.physics, self._contact, held=held)
         self._model: Any = scene.model
-        self._data: Any = mujoco.MjData(scene.model)
+        self._data: Any = scene.data
         self._T_object_body = scene.T_object_principal
         self._T_body_object = np.linalg.inv(scene.T_object_principal)
         self._held = held

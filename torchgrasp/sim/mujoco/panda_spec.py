@@ -19,7 +19,6 @@ from torchgrasp.sim.panda_tables import (
     FINGER_OPEN,
     FINGER_SHAPES,
     FINGER_STIFFNESS,
-    FINGER_VELOCITY,
     HAND_INERTIAL,
     HAND_SHAPES,
     IGNORE_BITS,
@@ -33,16 +32,19 @@ from torchgrasp.sim.panda_tables import (
 _STOP = {"limited": True, "solref_limit": (0.005, 1.0), "solimp_limit": (0.99, 0.999, 1e-3, 0.5, 2.0)}
 # Of geoms: the higher one's friction and contact hold.
 LINK_PRIORITY, FINGER_PRIORITY = 1, 2
+# Bodies, and of fingers their joints and actuators.
+LINKS, FINGERS = (*(f"link{i}" for i in range(8)), "hand"), ("left_finger", "right_finger")
 
 
-def add_panda(spec: Any, *, link: dict[str, Any], finger: dict[str, Any], finger_force: float) -> None:
+def add_panda(spec: Any, *, link: dict[str, Any], finger: dict[str, Any]) -> None:
     """Add the arm and the hand with their drives, joints and actuators in the order of `joints`.
+
+    The fingers' force, and the damping that goes with it, is set in the compiled model: see `set_physics`.
 
     Args:
         spec: to add to.
         link: properties of the contacts of all links but the fingers, by name.
         finger: the same of the fingers.
-        finger_force: largest force of each finger, N.
     """
     body = _add_link(spec.worldbody, "link0", INERTIALS[0], ARM_SHAPES[0], link)
     limits = zip(kinematics.JOINT_LOWER, kinematics.JOINT_UPPER, strict=True)
@@ -62,31 +64,25 @@ def add_panda(spec: Any, *, link: dict[str, Any], finger: dict[str, Any], finger
     turned = (np.cos(half), 0, 0, np.sin(half))
     flange = (0, 0, kinematics.FLANGE_LENGTH)
     hand = _add_link(body, "hand", HAND_INERTIAL, HAND_SHAPES, link, pos=flange, quat=turned)
-    for side, name in ((1.0, "left_finger"), (-1.0, "right_finger")):
+    for side, name in zip((1.0, -1.0), FINGERS, strict=True):
         shapes = FINGER_SHAPES if side > 0 else tuple(mirrored(shape) for shape in FINGER_SHAPES)
         body = _add_link(hand, name, FINGER_INERTIAL, shapes, finger, pos=(0, 0, FINGER_MOUNT))
-        # A drive of this force, or of what its spring has at most, cannot move the finger faster than it may:
-        # MuJoCo knows no limit of speeds.
         body.add_joint(
             name=name,
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=(0, side, 0),
             range=(0.0, FINGER_OPEN),
             armature=FINGER_ARMATURE,
-            damping=min(finger_force, 2 * FINGER_STIFFNESS * FINGER_OPEN) / FINGER_VELOCITY,
             **_STOP,
         )
-        _add_drive(spec, name, FINGER_STIFFNESS, 0.0, finger_force)
-    for one, other in combinations([*(f"link{i}" for i in range(8)), "hand", *_FINGERS], 2):
+        _add_drive(spec, name, FINGER_STIFFNESS, 0.0, limited=True)
+    for one, other in combinations((*LINKS, *FINGERS), 2):
         if _bits(one) & _bits(other):
             spec.add_exclude(bodyname1=one, bodyname2=other)
 
 
-_FINGERS = ("left_finger", "right_finger")
-
-
 def _bits(name: str) -> int:
-    return IGNORE_BITS["finger" if name in _FINGERS else name]
+    return IGNORE_BITS["finger" if name in FINGERS else name]
 
 
 def _roll(angle: float) -> tuple[float, ...]:
@@ -125,8 +121,8 @@ def _add_link(
     return body
 
 
-def _add_drive(spec: Any, joint: str, stiffness: float, damping: float, limit: float | None = None) -> None:
-    """A spring towards the control and a damper, with a limit of their force where one is given."""
+def _add_drive(spec: Any, joint: str, stiffness: float, damping: float, *, limited: bool = False) -> None:
+    """A spring towards the control and a damper, whose force may be limited."""
     spec.add_actuator(
         name=joint,
         target=joint,
@@ -135,6 +131,6 @@ def _add_drive(spec: Any, joint: str, stiffness: float, damping: float, limit: f
         gainprm=[stiffness, *[0.0] * 9],
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
         biasprm=[0.0, -stiffness, -damping, *[0.0] * 7],
-        forcelimited=limit is not None,
-        forcerange=(-(limit or 0.0), limit or 0.0),
+        forcelimited=limited,
+        forcerange=(-float(limited), float(limited)),
     )

@@ -46,6 +46,8 @@ def distribute(target: GraspObject) -> Distribution:
     middle = first / volume
     spread = second / volume - np.outer(middle, middle)
     moments, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
+    # The least that MuJoCo takes, so that flat objects and needles compile.
+    moments = np.maximum(moments, 1e-8)
     axes[:, 0] *= np.linalg.det(axes)
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes, middle
@@ -57,24 +59,20 @@ def add_target(
     target: GraspObject,
     spread: Distribution,
     *,
-    mass: float,
     held: bool,
     contact: dict[str, Any],
 ) -> None:
-    """Add the body `target`, whose frame is that of its principal axes.
+    """Add the body `target`, whose frame is that of its principal axes; of 1 kg, until `set_physics`.
 
     Args:
         spec: to add to.
         target: the object.
         spread: how its mass lies.
-        mass: kg.
         held: whether it stands where it is put; else it moves freely.
         contact: properties of its contacts, by name.
     """
-    # The least that MuJoCo takes, so that flat objects and needles compile.
-    inertia = mass * np.maximum(spread.moments, 1e-8)
     body = spec.worldbody.add_body(
-        name="target", mass=mass, inertia=inertia, explicitinertial=True, mocap=held
+        name="target", mass=1.0, inertia=spread.moments, explicitinertial=True, mocap=held
     )
     if not held:
         body.add_freejoint(name="target")
