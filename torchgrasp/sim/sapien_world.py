@@ -71,9 +71,6 @@ class SapienWorld(World):
         """Whether the target is kinematic."""
         return self._target.kinematic
 
-    def _build_again(self, placement: Placement) -> World:
-        return SapienWorld(placement)
-
     def _lead_arm(self, q: np.ndarray) -> None:
         self._panda.drive_arm(q)
 

@@ -83,10 +83,6 @@ class World(ABC):
         """Whether the target is held where it is put, so that no contact moves it."""
 
     @abstractmethod
-    def _build_again(self, placement: Placement) -> World:
-        """A new world of the same engine."""
-
-    @abstractmethod
     def _lead_arm(self, q: np.ndarray) -> None:
         """Set the targets of the arm's drives, (7,) radians."""
 
@@ -117,9 +113,9 @@ class World(ABC):
         An engine that begins anew where a number is out of its range raises UnstableError here.
         """
 
-    def copy(self) -> World:
-        """Another world in which arm and target are where they are in this one, at rest, the fingers open."""
-        return self._build_again(replace(self.placement, q=self.joints[:7], T_base_object=self.T_base_object))
+    def place_again(self) -> Placement:
+        """How another world begins where arm and target of this one are, at rest, the fingers open."""
+        return replace(self.placement, q=self.joints[:7], T_base_object=self.T_base_object)
 
     def move_target(self, T_base_object: np.ndarray) -> None:
         """Put the target at a (4, 4) pose at once; one that is held is carried there in the next step."""

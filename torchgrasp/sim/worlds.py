@@ -150,7 +150,7 @@ class Worlds:
         return np.array([self._try(row, q, T_base_object) for q in postures])
 
     def _try(self, row: int, q: np.ndarray, T_base_object: np.ndarray | None) -> float:
-        world = self._placed()[row].copy()
+        world = self.engine.build(self._placed()[row].place_again())
         if T_base_object is not None:
             world.move_target(T_base_object)
         with suppress(UnstableError):

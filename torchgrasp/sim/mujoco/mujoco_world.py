@@ -87,9 +87,6 @@ class MujocoWorld(World):
         """Whether the target stands where it is put."""
         return self._held
 
-    def _build_again(self, placement: Placement) -> World:
-        return MujocoWorld(placement, self._contact, substeps=self._substeps)
-
     def _lead_arm(self, q: np.ndarray) -> None:
         self._drives.q = q
 
