@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchgrasp import keys
 from torchgrasp.data.compact import CompactTransitions, default_labels
-from torchgrasp.data.minari.columns import check_end, read_column
+from torchgrasp.data.foreign_columns import check_end, read_column
 from torchgrasp.data.sampler import STUB
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_SIZE

@@ -13,28 +13,23 @@ no observation after its end: the last one stands there twice, with infos of zer
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from tensordict import TensorDict
 
 from torchgrasp import keys
 from torchgrasp.data.compact import CompactTransitions
-from torchgrasp.data.demonstration_card import Card, begin_demonstrations
+from torchgrasp.data.demonstration_card import Card
 from torchgrasp.data.demonstrations import Demonstrations
 from torchgrasp.data.files import replace_folder
-from torchgrasp.data.minari.columns import check_alike
+from torchgrasp.data.foreign_columns import check_alike
+from torchgrasp.data.imported_episodes import check_unused, in_groups, name_object, write_imported
 from torchgrasp.data.minari.dataset_files import CARD, REMEDY, check_hdf5, read_metadata
 from torchgrasp.data.minari.episode_columns import columns_to_rows, make_space, rows_to_columns
-from torchgrasp.data.shards import append_rows
 from torchgrasp.documents import shorten
-from torchgrasp.errors import CheckpointError, ConfigError, printable
-
-_SHARD_EPISODES = 28
-_MAX_NAME = 1000
-_T = TypeVar("_T")
+from torchgrasp.errors import CheckpointError, ConfigError
 
 
 def load_minari() -> Any:
@@ -98,7 +93,7 @@ def export_minari(
             data_format="hdf5",
             jpeg_encoding=False,  # pictures come back as they were
         )
-        for some in _in_groups(demonstrations.iterate_episode_rows()):
+        for some in in_groups(demonstrations.iterate_episode_rows()):
             storage.update_episodes(
                 [
                     minari.data_collector.EpisodeBuffer(
@@ -141,36 +136,10 @@ def import_minari(
         codec: how transitions are stored; CompactTransitions() if None.
     """
     codec, path = codec or CompactTransitions(), Path(path)
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise ConfigError(f"{path} is there already: give a folder that does not exist yet.")
+    check_unused(path)
     dataset, told = _open(source)
-    provenance = {**({} if told is None else told.provenance), "imported_from": dataset.id}
-    if kind is not None:
-        provenance["kind"] = kind
-    with replace_folder(path) as new:
-        begin_demonstrations(new, kind=kind or (told.kind if told else "expert"), provenance=provenance)
-        return _append_all(new, _read_episodes(dataset, codec, ours=told is not None), told)
-
-
-def _append_all(
-    path: Path, episodes: Iterable[tuple[TensorDict, str, int]], told: Card | None
-) -> dict[str, Any]:
-    """Append all episodes, shard by shard; returns the card."""
-    # What was run and not kept is told with the first shard, and so is the time that all took.
-    dropped, seconds = (max(0, told.attempts - told.episodes), told.wall_seconds) if told else (0, 0.0)
-    card: dict[str, Any] = {}
-    for index, some in enumerate(_in_groups(episodes)):
-        rows, objects, seeds = zip(*some, strict=True)
-        card = append_rows(
-            path,
-            rows,
-            objects=objects,
-            seeds=seeds,
-            index=index,
-            attempts=len(some) + (dropped if index == 0 else 0),
-            wall_seconds=seconds if index == 0 else 0.0,
-        )
-    return card
+    episodes = _read_episodes(dataset, codec, ours=told is not None)
+    return write_imported(path, episodes, source=dataset.id, told=told, kind=kind)
 
 
 def _open(source: str | Path) -> tuple[Any, Card | None]:
@@ -207,7 +176,7 @@ def _read_episodes(
             )
         rows = columns_to_rows(episode, codec, ours=ours)
         first = check_alike(number, rows, first)
-        yield rows, printable(options.get("object", "unknown"))[:_MAX_NAME], seed
+        yield rows, name_object(options.get("object", "unknown")), seed
 
 
 def _read_episode(dataset: Any, number: int) -> tuple[Any, dict[str, Any]]:
@@ -220,10 +189,3 @@ def _read_episode(dataset: Any, number: int) -> tuple[Any, dict[str, Any]]:
         raise CheckpointError(
             f"{dataset.storage.data_path} cannot be read ({type(error).__name__}: {error}): {REMEDY}."
         ) from error
-
-
-def _in_groups(values: Iterable[_T]) -> Iterator[list[_T]]:
-    """Lists of as many episodes as are held in memory, and in a shard."""
-    iterator = iter(values)
-    while some := list(islice(iterator, _SHARD_EPISODES)):
-        yield some

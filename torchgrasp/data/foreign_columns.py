@@ -1,4 +1,4 @@
-"""Columns of Minari's episodes, which anyone may have written: checked as they are read."""
+"""Columns of episodes of other formats, which anyone may have written: checked as they are read."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def read_column(
     """(T, *shape) values of one episode; ConfigError with `name` unless they are finite numbers like that.
 
     Args:
-        values: what Minari gives; a column of numbers (T) also stands for the shape (1).
+        values: what the format's reader gives; a column of numbers (T) also stands for the shape (1).
         name: of episode and column, for errors.
         lengths: those that T may have.
         shape: of an entry; None for any.
