@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from torchgrasp.errors import ConfigError, printable
 
-HELP = "check a folder of demonstrations and print its card; export it to Minari, or import it from there"
+HELP = "check a folder of demonstrations and print its card; exchange it with Minari or LeRobot"
+_FORMATS = ("minari", "lerobot")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of the command."""
-    minari = "an id like torchgrasp/expert-v0, or a folder that begins with / or ."
+    place = "of Minari an id like torchgrasp/expert-v0, or a folder that begins with / or .; else a folder"
     parser.add_argument("folder", help="of `torchgrasp collect`")
     action = parser.add_mutually_exclusive_group()
-    action.add_argument("--export", metavar="DATASET", help=f"write it as a new Minari dataset: {minari}")
+    action.add_argument("--export", metavar="DATASET", help=f"write it as a new dataset: {place}")
     action.add_argument(
-        "--import", dest="source", metavar="DATASET", help=f"make it from a Minari dataset: {minari}"
+        "--import", dest="source", metavar="DATASET", help=f"make it from a dataset: {place}"
     )
     action.add_argument(
         "--drop-damaged", action="store_true", help="delete the first damaged shard and those after it"
+    )
+    parser.add_argument(
+        "--format", choices=_FORMATS, help="of the dataset: Minari's (default), or LeRobotDataset v3"
     )
     parser.add_argument(
         "--kind", help="with --import: of the demonstrations (expert, perturbed, failed, learner)"
@@ -30,14 +35,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Do what is asked for; every byte is checked before the card is printed."""
     from torchgrasp.data.demonstrations import drop_damaged_shards, open_demonstrations
-    from torchgrasp.data.minari.exchange import export_minari, import_minari
 
     if args.kind is not None and args.source is None:
         raise ConfigError(
             f"--kind={args.kind} goes with --import alone: a folder keeps the kind that it has."
         )
+    if args.format is not None and args.source is None and args.export is None:
+        raise ConfigError(f"--format={args.format} goes with --export or --import: give one of them.")
+    write, read = _find_exchange(args.format or _FORMATS[0])
     if args.source is not None:
-        import_minari(args.source, args.folder, kind=args.kind)
+        read(args.source, args.folder, kind=args.kind)
     if args.drop_damaged:
         names = drop_damaged_shards(args.folder)
         again = f"{', '.join(names)} deleted: collect again to make them anew."
@@ -46,8 +53,19 @@ def run(args: argparse.Namespace) -> int:
     demonstrations = open_demonstrations(args.folder)
     print_card(demonstrations.card)
     if args.export is not None:
-        print(f"Written to {export_minari(demonstrations, args.export)}")
+        print(f"Written to {write(demonstrations, args.export)}")
     return 0
+
+
+def _find_exchange(name: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """What writes and what reads datasets of a format."""
+    if name == "lerobot":
+        from torchgrasp.data.lerobot.exchange import export_lerobot, import_lerobot
+
+        return export_lerobot, import_lerobot
+    from torchgrasp.data.minari.exchange import export_minari, import_minari
+
+    return export_minari, import_minari
 
 
 def print_card(card: dict[str, Any]) -> None:

@@ -39,6 +39,7 @@ _EXTRAS = (
     "export",
     "franka",
     "minari",
+    "lerobot",
     "viz",
     "wandb",
     "sweeps",

@@ -47,12 +47,16 @@ def to_arrow(values: Tensor, feature: Feature) -> Any:
     return array
 
 
-def open_table(path: Path, remedy: str) -> Any:
-    """The pyarrow ParquetFile at `path`; CheckpointError where there is none that can be read."""
+def open_table(path: Path, remedy: str, *, pictures: Sequence[str] = ()) -> Any:
+    """The pyarrow ParquetFile at `path`; CheckpointError where there is none that can be read.
+
+    Of `pictures`, a file that stands for many frames is in memory once.
+    """
     import pyarrow.parquet as pq
 
     try:
-        return pq.ParquetFile(path)
+        files = [f"{name}.bytes" for name in pictures]
+        return pq.ParquetFile(path, read_dictionary=files, page_checksum_verification=True)
     except FileNotFoundError as error:
         raise CheckpointError(f"{path} is missing: {remedy}.") from error
     except Exception as error:  # Arrow raises what its C++ does
@@ -77,7 +81,7 @@ def read_batches(
         remedy: for errors.
         pictures: those of the columns that hold files.
     """
-    file = open_table(path, remedy)
+    file = open_table(path, remedy, pictures=pictures)
     present = set(file.schema_arrow.names)
     if lacking := [name for name in entries if name not in present]:
         raise ConfigError(f"{path} has no column {lacking}, which meta/info.json tells of: {remedy}.")
@@ -106,17 +110,17 @@ def _check_groups(file: Any, path: Path, entries: Mapping[str, int], remedy: str
             if name is None:
                 continue
             most = group.num_rows * (2 * entries[name] + _PICTURE_HEADER) + _PICTURE_HEADER
-            if column.total_uncompressed_size > min(_MOST_BYTES, most):
+            size = max(column.total_uncompressed_size, column.num_values)
+            if column.total_uncompressed_size > min(_MOST_BYTES, most) or column.num_values > most:
                 raise CheckpointError(
-                    f"{path}: {name!r} of {group.num_rows} frames would take "
-                    f"{column.total_uncompressed_size} bytes: {remedy}."
+                    f"{path}: {name!r} of {group.num_rows} frames would take {size} bytes or more: {remedy}."
                 )
 
 
 def _plain(array: Any, picture: bool) -> Any:
     """The array in Arrow's own types: LeRobot's for arrays of several axes are their storage here."""
     array = array.storage if hasattr(array, "storage") else array
-    return array.field("bytes") if picture and hasattr(array.type, "num_fields") else array
+    return array.field("bytes") if picture and hasattr(array, "field") else array
 
 
 def from_arrow(array: Any, name: str, shape: tuple[int, ...]) -> Any:
