@@ -18,9 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", help="of `torchgrasp collect`")
     action = parser.add_mutually_exclusive_group()
     action.add_argument("--export", metavar="DATASET", help=f"write it as a new dataset: {place}")
-    action.add_argument(
-        "--import", dest="source", metavar="DATASET", help=f"make it from a dataset: {place}"
-    )
+    action.add_argument("--import", dest="source", metavar="DATASET", help=f"make it from a dataset: {place}")
     action.add_argument(
         "--drop-damaged", action="store_true", help="delete the first damaged shard and those after it"
     )

@@ -101,14 +101,10 @@ def _add(
 def _read_files(array: Any, name: str) -> list[bytes | None]:
     import pyarrow as pa
 
-    once = pa.types.is_dictionary(array.type)
-    kind = array.type.value_type if once else array.type
+    kind = array.type
     if not (pa.types.is_binary(kind) or pa.types.is_large_binary(kind)):
         raise ConfigError(f"{name!r} holds {kind}, no pictures as files: mend the dataset.")
-    if not once:
-        return array.to_pylist()
-    files = array.dictionary.to_pylist()
-    return [None if place is None else files[place] for place in array.indices.to_pylist()]
+    return array.to_pylist()
 
 
 def check_frames(frames: Frames, number: int, length: int, *, first: int = 0) -> None:

@@ -47,16 +47,12 @@ def to_arrow(values: Tensor, feature: Feature) -> Any:
     return array
 
 
-def open_table(path: Path, remedy: str, *, pictures: Sequence[str] = ()) -> Any:
-    """The pyarrow ParquetFile at `path`; CheckpointError where there is none that can be read.
-
-    Of `pictures`, a file that stands for many frames is in memory once.
-    """
+def open_table(path: Path, remedy: str) -> Any:
+    """The pyarrow ParquetFile at `path`; CheckpointError where there is none that can be read."""
     import pyarrow.parquet as pq
 
     try:
-        files = [f"{name}.bytes" for name in pictures]
-        return pq.ParquetFile(path, read_dictionary=files, page_checksum_verification=True)
+        return pq.ParquetFile(path, page_checksum_verification=True)
     except FileNotFoundError as error:
         raise CheckpointError(f"{path} is missing: {remedy}.") from error
     except Exception as error:  # Arrow raises what its C++ does
@@ -81,12 +77,12 @@ def read_batches(
         remedy: for errors.
         pictures: those of the columns that hold files.
     """
-    file = open_table(path, remedy, pictures=pictures)
+    file = open_table(path, remedy)
     present = set(file.schema_arrow.names)
     if lacking := [name for name in entries if name not in present]:
         raise ConfigError(f"{path} has no column {lacking}, which meta/info.json tells of: {remedy}.")
-    _check_groups(file, path, entries, remedy)
-    rows = max(1, min(_MOST_ROWS, _BATCH_BYTES // max(1, sum(entries.values()))))
+    largest = _check_groups(file, path, entries, remedy)
+    rows = max(1, min(_MOST_ROWS, _BATCH_BYTES // max(1, sum(entries.values())), _MOST_BYTES // largest))
     try:
         for batch in file.iter_batches(batch_size=rows, columns=list(entries)):
             columns = {name: batch.column(name) for name in entries}
@@ -99,15 +95,21 @@ def read_batches(
         file.close()
 
 
-def _check_groups(file: Any, path: Path, entries: Mapping[str, int], remedy: str) -> None:
-    """Refuse row groups that would take more memory than their frames do."""
+def _check_groups(file: Any, path: Path, entries: Mapping[str, int], remedy: str) -> int:
+    """Refuse row groups that would take more memory than their frames; returns the largest column's bytes.
+
+    So large may each entry of that column be: files tell an entry that many frames share once.
+    """
+    largest = 1
     for number in range(file.metadata.num_row_groups):
         group = file.metadata.row_group(number)
         for place in range(group.num_columns):
             column = group.column(place)
-            name = column.path_in_schema.split(".list.")[0].split(".element")[0]
-            name = next((each for each in entries if name == each or name.startswith(f"{each}.")), None)
-            if name is None:
+            place_in_schema = f"{column.path_in_schema}."
+            name = max(
+                (each for each in entries if place_in_schema.startswith(f"{each}.")), key=len, default=""
+            )
+            if not name:
                 continue
             most = group.num_rows * (2 * entries[name] + _PICTURE_HEADER) + _PICTURE_HEADER
             size = max(column.total_uncompressed_size, column.num_values)
@@ -115,6 +117,8 @@ def _check_groups(file: Any, path: Path, entries: Mapping[str, int], remedy: str
                 raise CheckpointError(
                     f"{path}: {name!r} of {group.num_rows} frames would take {size} bytes or more: {remedy}."
                 )
+            largest = max(largest, size)
+    return largest
 
 
 def _plain(array: Any, picture: bool) -> Any:
