@@ -20,7 +20,7 @@ from pydantic import Field, JsonValue
 
 from torchgrasp.data.demonstration_card import Card
 from torchgrasp.data.lerobot.features import COUNTERS, Column
-from torchgrasp.data.lerobot.tables import from_arrow, read_batches
+from torchgrasp.data.lerobot.tables import from_arrow, opened, read_batches
 from torchgrasp.documents import Amount, Count, Document, Name, OpenDocument, check_document, read_document
 from torchgrasp.errors import CheckpointError, ConfigError
 
@@ -157,12 +157,9 @@ def _read_episodes(folder: Path, info: Info, *, seeded: bool) -> tuple[list[int]
 
 def _read_tasks(folder: Path) -> dict[int, str]:
     """The text of each task, by its number."""
-    from torchgrasp.data.lerobot.tables import open_table
-
     file = folder / "meta" / "tasks.parquet"
-    parquet = open_table(file, REMEDY)
-    present = set(parquet.schema_arrow.names)
-    parquet.close()
+    with opened(file, REMEDY) as parquet:
+        present = set(parquet.schema_arrow.names)
     text = next((name for name in TASK_COLUMNS if name in present), None)
     if text is None:
         raise CheckpointError(f"{file} has no column {TASK_COLUMNS[0]!r}: {REMEDY}.")

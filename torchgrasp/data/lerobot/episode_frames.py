@@ -102,7 +102,7 @@ def _read_files(array: Any, name: str) -> list[bytes | None]:
     import pyarrow as pa
 
     kind = array.type
-    if not (pa.types.is_binary(kind) or pa.types.is_large_binary(kind)):
+    if not (pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_null(kind)):
         raise ConfigError(f"{name!r} holds {kind}, no pictures as files: mend the dataset.")
     return array.to_pylist()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -47,21 +48,23 @@ def to_arrow(values: Tensor, feature: Feature) -> Any:
     return array
 
 
-def open_table(path: Path, remedy: str) -> Any:
-    """The pyarrow ParquetFile at `path`; CheckpointError where there is none that can be read."""
+@contextmanager
+def opened(path: Path, remedy: str) -> Iterator[Any]:
+    """The pyarrow ParquetFile at `path`; CheckpointError where what is read in the block is damaged."""
     import pyarrow.parquet as pq
 
     try:
-        return pq.ParquetFile(path, page_checksum_verification=True)
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            yield file
+    except (ConfigError, CheckpointError):
+        raise
     except FileNotFoundError as error:
         raise CheckpointError(f"{path} is missing: {remedy}.") from error
     except Exception as error:  # Arrow raises what its C++ does
-        raise _unreadable(path, error, remedy) from error
-
-
-def _unreadable(path: Path, error: Exception, remedy: str) -> CheckpointError:
-    reason = " ".join(str(error).split())[:200]
-    return CheckpointError(f"{path} cannot be read ({type(error).__name__}: {reason}): {remedy}.")
+        reason = " ".join(str(error).split())[:200]
+        raise CheckpointError(
+            f"{path} cannot be read ({type(error).__name__}: {reason}): {remedy}."
+        ) from error
 
 
 def read_batches(
@@ -77,22 +80,15 @@ def read_batches(
         remedy: for errors.
         pictures: those of the columns that hold files.
     """
-    file = open_table(path, remedy)
-    present = set(file.schema_arrow.names)
-    if lacking := [name for name in entries if name not in present]:
-        raise ConfigError(f"{path} has no column {lacking}, which meta/info.json tells of: {remedy}.")
-    largest = _check_groups(file, path, entries, remedy)
-    rows = max(1, min(_MOST_ROWS, _BATCH_BYTES // max(1, sum(entries.values())), _MOST_BYTES // largest))
-    try:
-        for batch in file.iter_batches(batch_size=rows, columns=list(entries)):
+    with opened(path, remedy) as file:
+        present = set(file.schema_arrow.names)
+        if lacking := [name for name in entries if name not in present]:
+            raise ConfigError(f"{path} has no column {lacking}, which meta/info.json tells of: {remedy}.")
+        largest = _check_groups(file, path, entries, remedy)
+        rows = min(_MOST_ROWS, _BATCH_BYTES // max(1, sum(entries.values())), _MOST_BYTES // largest)
+        for batch in file.iter_batches(batch_size=max(1, rows), columns=list(entries)):
             columns = {name: batch.column(name) for name in entries}
             yield {name: _plain(array, name in pictures) for name, array in columns.items()}
-    except (ConfigError, CheckpointError):
-        raise
-    except Exception as error:  # Arrow raises what its C++ does
-        raise _unreadable(path, error, remedy) from error
-    finally:
-        file.close()
 
 
 def _check_groups(file: Any, path: Path, entries: Mapping[str, int], remedy: str) -> int:
