@@ -80,6 +80,8 @@ SHARED_NAMES = {
     "grasp_prediction": "evaluation measures it, config says on what",
     "value_quality": "evaluation measures it, config says of which critic",
     "demonstration_sources": "data has what a source is, config how sources are listed",
+    "exchange": "demonstrations to and from a format, in the folder of each",
+    "dataset_files": "what a format's files tell of themselves, in the folder of each",
 }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.data.lerobot.datasets import LENGTHS, describe, draw_frames, picture, write_dataset
+from tests.data.lerobot.foreign import LENGTHS, describe, draw_frames, picture, write_dataset
 from tests.data.rollouts import append
 from tests.hostile_values import check_each, check_texts
 from torchgrasp import keys
