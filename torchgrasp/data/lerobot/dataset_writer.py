@@ -203,9 +203,9 @@ def _tell_types(features: Sequence[Feature]) -> str:
                 "dtype": feature.stored,
                 "_type": f"Array{len(feature.shape)}D",
             }
-        elif feature.shape in ((), (1,)):
-            kinds[feature.name] = value
-        else:
+        elif feature.shape and feature.shape[0] != 1:
             kinds[feature.name] = {"feature": value, "length": feature.shape[0], "_type": "List"}
+        else:
+            kinds[feature.name] = value
     kinds |= {name: {"dtype": kind, "_type": "Value"} for name, kind in COUNTERS.items()}
     return json.dumps({"info": {"features": kinds}})

@@ -42,7 +42,7 @@ COUNTERS = {
     "task_index": "int64",
 }
 _RESERVED = {*COUNTERS, "task"}
-_AXES = {
+_AXES: dict[NestedKey, list[str]] = {
     keys.JOINTS: [*(f"panda_joint{number}" for number in range(1, 8)), "finger_1", "finger_2"],
     keys.ACTION: ["x", "y", "z", "rx", "ry", "rz"],
 }

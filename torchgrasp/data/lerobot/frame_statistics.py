@@ -16,6 +16,7 @@ from torchgrasp.data.lerobot.features import Feature
 _MOST_NUMBERS = 64
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _CHANNELS = 3
+_LARGEST = float(np.finfo(np.float32).max)
 
 Statistics = dict[str, dict[str, Any]]
 
@@ -47,7 +48,7 @@ def measure_frames(frames: TensorDictBase, features: Sequence[Feature]) -> Stati
 def _measure(table: Any) -> dict[str, Any]:
     """Of each column of (R, C)."""
     # NaN, as of actions that were not tried, would make JSON that nobody reads.
-    table = np.nan_to_num(table, nan=0.0, posinf=np.finfo(np.float32).max, neginf=np.finfo(np.float32).min)
+    table = np.nan_to_num(table, nan=0.0, posinf=_LARGEST, neginf=-_LARGEST)
     quantiles = np.quantile(table, list(_QUANTILES.values()), axis=0)
     return {
         "min": table.min(axis=0),
