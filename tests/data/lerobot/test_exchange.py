@@ -149,6 +149,18 @@ def test_nothing_is_written_over(demonstrations, tmp_path):
         import_lerobot(folder, demonstrations.path)
 
 
+def test_an_export_that_fails_leaves_nothing(demonstrations, tmp_path):
+    wider = [steps.exclude("points", ("next", "points")) for steps in demonstrations.iterate_episodes()][:1]
+    codec = CompactTransitions(points_key=None)
+    card = append_shard(
+        demonstrations.path, wider, objects=["mug"], seeds=[0], index=demonstrations.num_shards, codec=codec
+    )
+    assert card["shards"] == 3
+    with pytest.raises(ConfigError, match="'points'"):
+        export_lerobot(open_demonstrations(demonstrations.path), tmp_path / "grasps")
+    assert {each.name for each in tmp_path.iterdir()} == {"demos"}
+
+
 def test_the_command_exports_and_imports(demonstrations, tmp_path, capsys):
     path, dataset, again = str(demonstrations.path), str(tmp_path / "grasps"), str(tmp_path / "again")
     assert main(["dataset", path, "--format", "lerobot", "--export", dataset]) == 0

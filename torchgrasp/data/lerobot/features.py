@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
@@ -156,9 +156,9 @@ def recall_feature(name: str, column: Column) -> Feature:
     return Feature(name, key, dtype, shape, _find_picture(key, dtype, shape))
 
 
-def check_sizes(features: Mapping[str, Feature] | list[Feature], source: object, remedy: str) -> None:
+def check_sizes(features: Sequence[Feature], source: object, remedy: str) -> None:
     """ConfigError where a frame would take more memory than any camera's does."""
-    for feature in features.values() if isinstance(features, Mapping) else features:
+    for feature in features:
         if math.prod(feature.shape) > _MOST_NUMBERS:
             raise ConfigError(
                 f"{source} tells of {feature.name!r} of shape {feature.shape}, more than {_MOST_NUMBERS} "

@@ -16,7 +16,6 @@ from torchgrasp.data.lerobot.dataset_files import FeatureInfo, Info
 from torchgrasp.data.lerobot.episode_frames import Frames
 from torchgrasp.data.lerobot.features import NAMES, Feature, PictureKind, check_sizes
 from torchgrasp.data.sampler import STUB
-from torchgrasp.documents import shorten
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_SIZE
 
@@ -106,7 +105,8 @@ def _take(
                 f"{name!r} is told as {told.dtype} of shape {shape}: give a picture a frame, dtype image of "
                 "shape (H, W, C), which loses nothing."
             )
-        size = shape[1:] if str(shorten(told.names)).startswith("['chan") else shape[:2]
+        axes = told.names if isinstance(told.names, list) and told.names else [""]
+        size = shape[1:] if str(axes[0]).startswith("channel") else shape[:2]
         kind = _PICTURES[key]
         return Feature(name, key, _PICTURE_TYPES[kind], (*size, 3) if kind == "rgb" else size, kind)
     labels = default_labels()
@@ -186,7 +186,7 @@ def _check_points(rows: TensorDict, frames: Frames, codec: CompactTransitions) -
 
 
 def _set_outcomes(rows: TensorDict, frames: Frames, taken: Taken) -> TensorDict:
-    """Reward, ends and success; an episode ends with its last frame, and is truncated only where told so."""
+    """Reward, ends and success; nothing tells what follows the last frame, so that all are terminated."""
     found = {name: _read(frames, feature) for name, feature in taken.outcomes.items()}
     end = (torch.arange(len(frames)) == len(frames) - 1)[:, None]
     for name in (_DONE, "next.terminated", _TRUNCATED):
