@@ -120,6 +120,10 @@ def _read_export(folder: Path, info: Info) -> Export | None:
         )
     if lacking := sorted(export.columns.keys() - info.features.keys()):
         raise ConfigError(f"{file} tells of {lacking}, which meta/info.json does not: {REMEDY}.")
+    found = [tuple(column.key) for column in export.columns.values()]
+    above = {key[:length] for key in found for length in range(1, len(key))}
+    if len(set(found)) < len(found) or above & set(found):
+        raise ConfigError(f"{file} tells of two features as one column: {REMEDY}.")
     return export
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchgrasp import keys
 from torchgrasp.data.sampler import STUB
-from torchgrasp.documents import Document, Name
+from torchgrasp.documents import Document
 from torchgrasp.errors import ConfigError
 
 _IMAGES = "observation.images."
@@ -57,10 +57,14 @@ _MOST_AXES = 5
 _MOST_NUMBERS = 1 << 24
 
 
+# A column's key becomes the name of a file.
+KeyPart = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=100)]
+
+
 class Column(Document):
     """What a column of demonstrations is, as meta/torchgrasp.json tells it of each feature."""
 
-    key: Annotated[list[Name], Field(min_length=1, max_length=16)]
+    key: Annotated[list[KeyPart], Field(min_length=1, max_length=16)]
     dtype: NumberType
     shape: Annotated[list[Annotated[int, Field(ge=0, le=_MOST_NUMBERS)]], Field(max_length=_MOST_AXES)]
 
