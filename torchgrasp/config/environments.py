@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterable
 from copy import deepcopy
+from dataclasses import dataclass
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -67,6 +67,30 @@ def make_split_env(cfg: DictConfig, split: str) -> TransformedEnv:
     return TransformedEnv(env, make_transforms(cfg.transforms))
 
 
+@dataclass(frozen=True)
+class SplitEnv:
+    """`make_split_env` for a pool, on whichever machine: see `rollouts.machines.Portable`."""
+
+    cfg: DictConfig
+    split: str
+
+    def __call__(self) -> TransformedEnv:
+        """The environment."""
+        return make_split_env(self.cfg, self.split)
+
+    def ingredients(self) -> dict[str, str]:
+        """The objects by name, with what decides each."""
+        return make_objects(self.cfg, self.split).contents()
+
+    def obstacle(self) -> str | None:
+        """What is not as the configuration needs it on this machine; raises where a part cannot be built."""
+        make_transforms(self.cfg.transforms)
+        for part in (self.cfg.camera, self.cfg.overhead):
+            build(part)
+        _engine(self.cfg)
+        return make_objects(self.cfg, self.split).obstacle()
+
+
 def _engine(cfg: DictConfig) -> dict[str, DictConfig]:
     """The engine as an option of the environment; none for runs of before there were two."""
     if cfg.get("engine") is None:
@@ -96,7 +120,7 @@ def make_pool(cfg: DictConfig, *, keep: Iterable = LEARNED_FROM) -> EpisodePool:
     """Who runs episodes of "train" and "test", as configured; it hands over `keep` and the states stored."""
     resolved: DictConfig = deepcopy(cfg)
     OmegaConf.resolve(resolved)
-    envs = {split: functools.partial(make_split_env, resolved, split) for split in ("train", "test")}
+    envs = {split: SplitEnv(resolved, split) for split in ("train", "test")}
     workers = cfg.collector.num_workers
     make: Callable[..., EpisodePool] = build(resolved.collector.pool, _partial_=True)
     stored = build(cfg.replay.codec).observation_keys if "replay" in cfg else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -101,6 +102,22 @@ class ObjectSet(Sequence[GraspObject], ABC):
     def missing(self) -> list[int]:
         """Indices of the objects that are to be built: neither in the cache nor refused."""
         return [i for i in range(len(self)) if self.refusal(i) is None and not self._cache_path(i).exists()]
+
+    def contents(self) -> dict[str, str]:
+        """Name -> a digest of all that decides the object; nothing is built for it."""
+        return {name: self._cache_path(index).stem for index, name in enumerate(self.names)}
+
+    def obstacle(self) -> str | None:
+        """Why objects that are not cached would be built each time anew here, None where they would not."""
+        missing = len(self.missing())
+        folder = next((each for each in (self.cache_dir, *self.cache_dir.parents) if each.exists()), None)
+        writable = folder is not None and folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)
+        if not missing or writable:
+            return None
+        return (
+            f"{missing} objects are not in the cache {self.cache_dir}, which cannot be written: "
+            "set TORCHGRASP_CACHE, or cache_dir, to a directory that can."
+        )
 
     def prepare(self, *, progress: bool = True, workers: int | None = None) -> None:
         """Build what the cache lacks, with a progress bar; nothing happens where all is there.

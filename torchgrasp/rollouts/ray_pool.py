@@ -7,8 +7,9 @@ import os
 import pickle
 import socket
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from types import ModuleType
 from typing import Any
 
@@ -17,9 +18,10 @@ import torch
 from torchgrasp.errors import ConfigError
 from torchgrasp.interruption import keep_handlers
 from torchgrasp.rollouts.episode_pool import MakeEnv, Policy
+from torchgrasp.rollouts.ray_machines import MachineCheck, answers, first_line
 from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
 
-_START_SECONDS = 120.0  # for a machine to import torch; longer means that there is no room for the worker
+_LOOK_SECONDS = 2.0  # between two looks at whether an actor has a place
 
 
 class RayPool(WorkerPool):
@@ -30,12 +32,17 @@ class RayPool(WorkerPool):
     alone. The policy goes to each machine once a call of `run`. Environments are pickled by value where Ray's
     workers could not import them.
 
+    Machines of a cluster are compared with this one first: versions, code, and what environments that are
+    `machines.Portable` read there. A machine that is killed or cut off costs the episodes that it was at,
+    which are run again elsewhere; its actors wait for a machine with room, such as itself once it is back.
+
     Args:
         envs: name -> function that makes the environment.
         num_workers: actors.
         keep: as for every pool.
         address: of a running cluster, ``auto`` for this machine's; None starts one here.
         num_cpus: cores that Ray sets aside for each actor.
+        patience: seconds in which no machine at all may have room for an actor before that is an error.
         init: more arguments of `ray.init`, such as `runtime_env`.
     """
 
@@ -47,14 +54,17 @@ class RayPool(WorkerPool):
         keep: Iterable | None = None,
         address: str | None = None,
         num_cpus: float = 1.0,
+        patience: float = 120.0,
         init: Mapping[str, Any] | None = None,
     ) -> None:
-        super().__init__(envs, num_workers=num_workers, keep=keep)
+        super().__init__(envs, num_workers=num_workers, keep=keep, patience=patience)
         self._ray = import_ray()
-        cores = num_workers * num_cpus
+        self._machines: MachineCheck | None = None  # this one alone needs none
+        self._answered: list[str] = []
         self._owns_ray = not self._ray.is_initialized()
         if self._owns_ray:
-            own = {"num_cpus": math.ceil(cores), "include_dashboard": False} if address is None else {}
+            own = {"num_cpus": math.ceil(num_workers * num_cpus), "include_dashboard": False}
+            own = own if address is None else {}
             try:
                 _check_address(address)
                 alone = _on_this_machine(self._ray) if address is None else nullcontext()
@@ -64,26 +74,46 @@ class RayPool(WorkerPool):
                 raise ConfigError(
                     f"address={address} does not answer ({error}): begin a cluster by `ray start --head`."
                 ) from error
-        found = self._ray.cluster_resources().get("CPU", 0)
-        if found < cores:
+        try:
+            self._check_room(num_workers, num_cpus)
+            if not (self._owns_ray and address is None):
+                self._machines = MachineCheck(self._ray, self._runner.factories)
+                self._machines.check_all()
+        except BaseException:
             self.close()
+            raise
+        # Without max_restarts: of what Ray restarts by itself nobody here is told.
+        options = {"num_cpus": num_cpus, "scheduling_strategy": "SPREAD"}
+        self._actor = self._ray.remote(**options)(_RemoteRunner)
+        self._packed = self._ray.cloudpickle.dumps(self._runner)
+
+    def _check_room(self, num_workers: int, num_cpus: float) -> None:
+        found, cores = self._ray.cluster_resources().get("CPU", 0), num_workers * num_cpus
+        if found < cores:
             raise ConfigError(
                 f"num_workers={num_workers} of {num_cpus:g} cores each do not fit the {found:g} cores of the "
                 "Ray cluster: let more machines join by `ray start --address=...`, or lower it."
             )
-        # Without max_restarts: of what Ray restarts by itself nobody here is told.
-        self._actor = self._ray.remote(num_cpus=num_cpus)(_RemoteRunner)
-        self._packed = self._ray.cloudpickle.dumps(self._runner)
 
     def _start_worker(self, index: int) -> Worker:
-        return RayWorker(self._ray, index, self._actor.remote(sys.path, self._packed))
+        actor = self._actor.remote(sys.path, self._packed)
+        return RayWorker(self._ray, index, actor, machines=self._machines, answered=self._answered)
 
     def _publish(self, policy: Policy) -> Any:
         return self._ray.put(self._ray.cloudpickle.dumps(policy))
 
+    @property
+    def answered(self) -> Counter[str]:
+        """Address of a machine -> episode numbers that it has run, those that were lost left out."""
+        return Counter(self._answered)
+
     def close(self) -> None:
         """End the actors, and Ray where this pool began it."""
         super().close()
+        if self._machines is not None and self._answered:
+            counts = ", ".join(f"{count} on {each}" for each, count in sorted(self.answered.items()))
+            print(f"Episode numbers that were run: {counts}.")
+            self._answered.clear()
         if self._owns_ray:
             self._ray.shutdown()
 
@@ -95,27 +125,51 @@ class RayWorker(Worker):
         ray: the module.
         index: of the worker in its pool.
         actor: a `_RemoteRunner`.
+        machines: tells which ones may run it; None for any.
+        answered: the address of its machine is put here with each answer.
     """
 
-    def __init__(self, ray: ModuleType, index: int, actor: Any) -> None:
-        self._ray, self._actor, self._name, self._placed = ray, actor, f"Worker {index}", False
+    def __init__(
+        self, ray: ModuleType, index: int, actor: Any, *, machines: MachineCheck | None, answered: list[str]
+    ) -> None:
+        self._ray, self._actor, self._name = ray, actor, f"Worker {index}"
+        self._machines, self._answered = machines, answered
+        self._node, self._address = "", ""
+        self.ready = False
+
+    def settle(self, is_hopeless: Callable[[], bool]) -> None:
+        """Wait until a machine has room for the actor, and see whether it may run it."""
+        place = self._actor.place.remote()
+        while True:
+            with suppress(self._ray.exceptions.GetTimeoutError):
+                self._node, self._address, process = self._wait_for(place, timeout=_LOOK_SECONDS)
+                break
+            if is_hopeless():
+                raise WorkerLostError(f"{self._name} finds no machine with room")
+        different = None if self._machines is None else self._machines.difference(self._node)
+        if different is not None:
+            raise WorkerLostError(f"{self._name} cannot work on {self._address}, which {different}")
+        self._name = f"{self._name} (process {process} on {self._address})"
+        if self._machines is not None:
+            print(f"{self._name} runs episodes.", flush=True)
+        self.ready = True
 
     def run(self, task: Task) -> bytes:
-        """Call the actor and wait for its answer, and before the first one until it has a place."""
-        if not self._placed:
-            place = self._wait_for(self._actor.whereabouts.remote(), timeout=_START_SECONDS)
-            self._name, self._placed = f"{self._name} ({place})", True
-        return self._wait_for(self._actor.run.remote(*task))
+        """Call the actor and wait for its answer."""
+        packed = self._wait_for(self._actor.run.remote(*task))
+        self._answered.append(self._address)
+        return packed
 
     def _wait_for(self, call: Any, *, timeout: float | None = None) -> Any:
         errors = self._ray.exceptions
         try:
             return self._ray.get(call, timeout=timeout)
-        except errors.GetTimeoutError as error:
-            self.stop()
-            raise WorkerLostError(f"{self._name} found no machine with room in {timeout:g} s") from error
-        except (errors.RayActorError, errors.OutOfMemoryError) as error:
-            raise WorkerLostError(f"{self._name} was lost ({_tell_loss(error)})") from error
+        except (errors.GetTimeoutError, errors.RayTaskError):
+            raise
+        except errors.RayError as error:  # the actor, its machine, or what it had answered
+            gone = bool(self._node) and not answers(self._ray, self._node)
+            how = "its machine does not answer" if gone else first_line(error)
+            raise WorkerLostError(f"{self._name} was lost ({how})", blameless=gone) from error
 
     def stop(self) -> None:
         """Kill the actor; it holds nothing that anybody misses."""
@@ -156,13 +210,6 @@ def _check_address(address: str | None) -> None:
         socket.create_connection((host, int(port)), timeout=10).close()
 
 
-def _tell_loss(error: Exception) -> str:
-    """The line of Ray's page of text that says how an actor was lost."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [line for line in lines if line.startswith("The actor is dead because")]
-    return (told or lines or ["Ray tells no reason"])[0]
-
-
 class _RemoteRunner:
     """What an actor is: an EpisodeRunner that was unpickled where this process's modules are found."""
 
@@ -171,10 +218,11 @@ class _RemoteRunner:
         torch.set_num_threads(1)
         self._runner = pickle.loads(runner)
 
-    def whereabouts(self) -> str:
+    def place(self) -> tuple[str, str, int]:
+        """The machine's id and address, and the process."""
         import ray
 
-        return f"process {os.getpid()} on {ray.util.get_node_ip_address()}"
+        return ray.get_runtime_context().get_node_id(), ray.util.get_node_ip_address(), os.getpid()
 
     def run(self, env: str, policy: bytes, number: int, explore: bool) -> bytes:
         return answer(self._runner, Task(env, policy, number, explore))

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import pickle
+import threading
 import time
 import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from itertools import islice
 from queue import LifoQueue
 from typing import Any, NamedTuple
 
-from torchgrasp.errors import ConfigError, WorkerError
+from torchgrasp.errors import ConfigError, WorkerError, check_range
 from torchgrasp.interruption import is_interrupted
 from torchgrasp.rollouts.episode_pool import (
     Episode,
@@ -29,6 +30,7 @@ from torchgrasp.rollouts.episode_pool import (
 _MAX_DEATHS = 3
 # Episode numbers that workers may be ahead of what is taken: more than a round of training has, as a rule.
 AHEAD = 32
+_RETRY_SECONDS = 5.0  # between two attempts to find a place for a worker
 
 
 class Task(NamedTuple):
@@ -41,11 +43,29 @@ class Task(NamedTuple):
 
 
 class WorkerLostError(Exception):
-    """What worked on an episode is gone; the text says which worker it was, and how it ended."""
+    """What worked on an episode is gone; the text says which worker it was, and how it ended.
+
+    Args:
+        told: the text.
+        blameless: whether the episode had no part in it, as where a whole machine is gone.
+    """
+
+    def __init__(self, told: str, *, blameless: bool = False) -> None:
+        super().__init__(told)
+        self.blameless = blameless
 
 
 class Worker(ABC):
-    """Runs one task after another somewhere else."""
+    """Runs one task after another somewhere else.
+
+    Attributes:
+        ready: whether it has a place to work at; where it has none yet, `settle` waits for one.
+    """
+
+    ready = True
+
+    def settle(self, is_hopeless: Callable[[], bool]) -> None:  # noqa: B027
+        """Wait for a place; raises WorkerLostError where there is none and no hope, or after `stop`."""
 
     @abstractmethod
     def run(self, task: Task) -> bytes:
@@ -60,7 +80,8 @@ class WorkerPool(EpisodePool):
     """Shares episodes out among workers, whichever is free; subclasses say what a worker is.
 
     A worker that dies (SIGKILL, out of memory, a machine that is gone) is named in a warning and replaced,
-    and its episode is run again: numbered, it is the same one. Three deaths over one episode are an error.
+    and its episode is run again by whoever is free: numbered, it is the same one. Three deaths over one
+    episode are an error, unless their machines went with them. A worker without a place holds up no other.
     Threads of `concurrent.futures` hand the episodes out. Its ProcessPoolExecutor marks the whole pool broken
     when one worker dies: it ends the others too, and does not tell which episode it was. Ray's own retries do
     not tell their caller of a death.
@@ -71,24 +92,34 @@ class WorkerPool(EpisodePool):
         envs: name -> function that makes the environment; can be pickled.
         num_workers: how many; each makes its own environments.
         keep: as for every pool.
+        patience: seconds in which no worker at all may have a place to work at before that is an error.
     """
 
     def __init__(
-        self, envs: Mapping[str, MakeEnv], *, num_workers: int, keep: Iterable | None = None
+        self,
+        envs: Mapping[str, MakeEnv],
+        *,
+        num_workers: int,
+        keep: Iterable | None = None,
+        patience: float = 120.0,
     ) -> None:
         if num_workers < 1:
             raise ConfigError(
                 f"num_workers={num_workers}: give 1 or more, or take a SerialPool, which needs none."
             )
+        check_range("patience", patience, 0.0, 86400.0)
         super().__init__(envs, keep=keep)
-        self._num_workers = num_workers
+        self._num_workers, self._patience = num_workers, patience
         self._threads = ThreadPoolExecutor(num_workers)
         self._idle: LifoQueue[int] = LifoQueue()
         for index in reversed(range(num_workers)):
             self._idle.put(index)
         self._workers: dict[int, Worker] = {}
+        self._losses: dict[int, WorkerLostError] = {}  # of workers that found no place
         self._work_seconds = [0.0] * num_workers  # one thread at a time has a worker
-        self._closed = False
+        self._settling: dict[int, threading.Thread] = {}
+        self._worked = time.monotonic()  # when somebody last could
+        self._closed = threading.Event()
 
     @abstractmethod
     def _start_worker(self, index: int) -> Worker:
@@ -129,37 +160,81 @@ class WorkerPool(EpisodePool):
 
     def _insist(self, task: Task) -> bytes:
         """The answer to a task, by as many workers as it takes."""
-        index, deaths = self._idle.get(), 0
-        try:
-            while True:
-                try:
-                    worker = self._find_worker(index)
-                    started = time.perf_counter()
-                    packed = worker.run(task)
-                    self._work_seconds[index] += time.perf_counter() - started
-                    return packed
-                except WorkerLostError as death:
-                    deaths += 1
-                    self._bury(index, task, deaths, death)
-        finally:
-            self._idle.put(index)
+        deaths = 0
+        while True:
+            index, settling = self._idle.get(), False
+            try:
+                worker = self._find_worker(index)
+                if settling := not worker.ready:
+                    self._begin_settling(index, worker)
+                    continue
+                started = time.perf_counter()
+                packed = worker.run(task)
+                self._work_seconds[index] += time.perf_counter() - started
+                self._worked = time.monotonic()
+                return packed
+            except WorkerLostError as death:
+                deaths += not death.blameless
+                self._bury(index, task, deaths, death)
+            finally:
+                if not settling:
+                    self._idle.put(index)
 
     def _find_worker(self, index: int) -> Worker:
         """The worker of that index, a new one where there is none."""
+        if self._closed.is_set():
+            raise CancelledError
+        if (loss := self._losses.pop(index, None)) is not None:
+            raise WorkerError(f"{loss}, and no other worker has one: nobody runs episodes.")
         if index not in self._workers:
             self._workers[index] = self._start_worker(index)
-            if self._closed:  # too late for `close` to see it
+            if self._closed.is_set():  # too late for `close` to see it
                 self._workers[index].stop()
         return self._workers[index]
+
+    def _begin_settling(self, index: int, worker: Worker) -> None:
+        """Wait until a worker has a place, in a thread of its own: the others go on meanwhile."""
+        thread = threading.Thread(target=self._settle, args=(index, worker), daemon=True)
+        self._settling[index] = thread
+        thread.start()
+
+    def _settle(self, index: int, worker: Worker) -> None:
+        """Free a worker once it has a place, or another one where it was lost before."""
+        since, told = time.monotonic(), ""
+
+        def is_hopeless() -> bool:
+            waited = time.monotonic() - max(since, self._worked)
+            return waited > self._patience and not any(each.ready for each in list(self._workers.values()))
+
+        try:
+            while not worker.ready and not self._closed.is_set():
+                try:
+                    worker.settle(is_hopeless)
+                    self._worked = time.monotonic()
+                except WorkerLostError as loss:
+                    worker.stop()
+                    if self._closed.is_set() or is_interrupted():
+                        return
+                    if is_hopeless():
+                        self._losses[index] = loss
+                        del self._workers[index]
+                        return
+                    if str(loss) != told:
+                        warnings.warn(f"{loss}: it is tried again while others go on.", stacklevel=1)
+                    told = str(loss)
+                    self._closed.wait(_RETRY_SECONDS)
+                    self._workers[index] = worker = self._start_worker(index)
+        finally:
+            self._idle.put(index)
 
     def _bury(self, index: int, task: Task, deaths: int, death: WorkerLostError) -> None:
         """Tell of a death in a warning; raise an error where there is no hope in another worker."""
         if (worker := self._workers.pop(index, None)) is not None:
             worker.stop()
-        if self._closed or is_interrupted():  # a signal may end workers of others, such as Ray's
+        if self._closed.is_set() or is_interrupted():  # a signal may end workers of others, such as Ray's
             raise CancelledError
         what = f"episode {task.number} of the environment {task.env!r}"
-        if deaths == _MAX_DEATHS:
+        if deaths == _MAX_DEATHS and not death.blameless:
             raise WorkerError(
                 f"{deaths} workers died over {what}; the last: {death}. If memory ran out, lower "
                 "num_workers; a SerialPool shows other errors."
@@ -173,10 +248,12 @@ class WorkerPool(EpisodePool):
 
     def close(self) -> None:
         """End the workers, whatever they are at."""
-        self._closed = True
+        self._closed.set()
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in list(self._workers.values()):
             worker.stop()
+        for thread in list(self._settling.values()):
+            thread.join()
         self._threads.shutdown()
 
 
