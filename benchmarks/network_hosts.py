@@ -1,7 +1,7 @@
 """Hosts made of namespaces on one machine: each with a network, processes, files and a name of its own.
 
-All of it lives in one outer namespace, that of `enter_namespaces`: nothing is left when that process ends,
-however it ends. Needs Linux with `unshare` and `nsenter` (util-linux) and `ip` (iproute2).
+All of it lives in the namespaces of `call_in_namespaces`: nothing is left when that call ends, however it
+ends. Needs Linux with `unshare` and `nsenter` (util-linux) and `ip` (iproute2).
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from pathlib import Path
 
 import psutil
 
-_INSIDE = "TORCHGRASP_INSIDE_NAMESPACES"
 _TOOLS = {"unshare": "util-linux", "nsenter": "util-linux", "ip": "iproute2", "mount": "mount"}
 _SPACES = ("--net", "--mount", "--uts", "--ipc", "--pid")
 _SUBNET = "10.77.0"
@@ -43,12 +42,9 @@ def _unshare() -> list[str]:
     return ["unshare", *user, *_SPACES, "--fork", "--kill-child", "--mount-proc"]
 
 
-def enter_namespaces() -> int | None:
-    """Run this script again in namespaces of its own and return its exit code; None once inside."""
-    if os.environ.get(_INSIDE) == str(os.getppid()):
-        return None
-    script = f'export {_INSIDE}="$$"; "$@"; exit $?'
-    return subprocess.call([*_unshare(), "sh", "-c", script, "sh", sys.executable, *sys.argv])
+def call_in_namespaces(*arguments: str) -> int:
+    """The exit code of a Python script that ran in namespaces of its own, of which nothing is left."""
+    return subprocess.call([*_unshare(), sys.executable, *arguments])
 
 
 class Network:
@@ -97,7 +93,8 @@ class Host:
             "ip", "link", "add", "name", name, "type", "veth", "peer", "name", "eth0", "netns", str(self._pid)
         )
         _call("ip", "link", "set", name, "master", _SWITCH, "up")
-        for given in ("link set lo up", "link set eth0 up", f"addr add {address}/24 dev eth0"):
+        addressed = ("link set lo up", "link set eth0 up", f"addr add {address}/24 dev eth0")
+        for given in (*addressed, "route add default dev eth0"):  # Ray looks for the way out
             _call(*self._enter("ip", *given.split()))
 
     def _enter(self, *command: str) -> list[str]:

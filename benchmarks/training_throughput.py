@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,11 @@ from torchgrasp.config import Run, gather_sources, make_actor_critic, training_c
 from torchgrasp.config.main_phase import count_rounds, describe_idle_workers
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.learning_curves import read_metrics
-from torchgrasp.recipes.td3_bc import reinforce  # pyright: ignore[reportMissingImports]  recipes/ as installed
+from torchgrasp.recipes.td3_bc import (  # pyright: ignore[reportMissingImports]  recipes/ as installed
+    make_actors,
+    reinforce,
+)
+from torchgrasp.rollouts.episode_pool import copy_for_rollouts
 from torchgrasp.runs import seed_everything
 
 # Heading -> its width, and the figure below it with its digits.
@@ -76,12 +81,23 @@ def _measure(chosen: DictConfig, warmup: int, folder: Path) -> dict:
         run.begin(gather_sources(chosen, run.pool, folder))
         run.stopwatch.measure()  # what came before is not the loop's
         reinforce(run)
+        weights = _weigh(run)
     workers, overlap = chosen.collector.num_workers, chosen.collector.overlap
     groups = count_rounds(chosen)
     row = {"collector": chosen.collector.pool._target_.rpartition(".")[2], "workers": workers}
-    row |= {"overlap": overlap, **_summarise(run.folder, warmup, min(workers, groups))}
+    row |= {"overlap": overlap, **_summarise(run.folder, warmup, min(workers, groups)), **weights}
     notes = [tell_who_waits(row, groups)] if overlap else []
     return row | {"notes": [*notes, *filter(None, [describe_idle_workers(chosen)])]}
+
+
+def _weigh(run: Run) -> dict[str, int]:
+    """Bytes of an episode as a worker hands it over, and of the policy that it is sent with each round."""
+    policy = copy_for_rollouts(*make_actors(run))
+    (episodes,) = run.pool.run("train", policy, [0], explore=True)
+    return {
+        "episode_bytes": len(pickle.dumps(episodes)) // len(episodes),
+        "policy_bytes": len(pickle.dumps(policy)),
+    }
 
 
 def _summarise(run_dir: Path, warmup: int, busy: int) -> dict[str, float]:
@@ -117,6 +133,8 @@ def _print_table(rows: dict[str, dict]) -> None:
     for name, row in rows.items():
         cells = [f"{row[key]:{width}.{digits}f}" for width, key, digits in _COLUMNS.values()]
         print("  ".join([f"{name:{widest}s}", *cells, f"x {first / row['iteration_seconds']:4.2f}"]))
+    sizes = (next(iter(rows.values()))[f"{what}_bytes"] / 1e3 for what in ("episode", "policy"))
+    print("An episode has {:.0f} kB, and the policy of a round {:.0f} kB.".format(*sizes))
     for name, row in rows.items():
         for note in row["notes"]:
             print(f"{name}: {note}")

@@ -21,21 +21,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from network_hosts import Host, Network, enter_namespaces, tell_lack
+from network_hosts import Host, Network, call_in_namespaces, tell_lack
 
 _ROOT = Path(__file__).resolve().parents[1]
 _PACKAGES = ("torchgrasp", "conf", "recipes")
 _PORT = 6379
 _RAY = "from ray.scripts.scripts import main; main()"
 # Ray takes a machine for dead after a minute by default; these are seconds.
-_HEALTH = {"initial_delay": 1000, "period": 1000, "timeout": 2000, "failure_threshold": 3}
+_HEALTH = {"initial_delay_ms": 1000, "period_ms": 1000, "timeout_ms": 3000, "failure_threshold": 3}
 # Rounds of four episodes, so that both hosts have work; more of them than will be run.
 _TRAINING = (
     *("experiment=smoke", "env.num_envs=1", "collector.episodes=4", "total_env_steps=200000"),
-    *("pretrain.steps=0", "online.critic_warmup=0", "checkpoint.iterations=1000", "evaluation.baselines=[]"),
+    *("objects.num_objects=1", "evaluation.num_objects=1", "evaluation.baselines=[]"),
+    *("pretrain.steps=0", "online.critic_warmup=0", "checkpoint.iterations=1000"),
 )
 _CLOCKED = ("time/", "speed/", "memory/")
-_LIMIT = 180.0  # seconds for anything that is waited for
 
 
 class Spent(NamedTuple):
@@ -51,10 +51,11 @@ class Trial:
     Args:
         folder: for all files; a short path, since Ray's sockets lie below it.
         cores: of Ray, on each host.
+        limit: seconds for anything that is waited for.
     """
 
-    def __init__(self, folder: Path, *, cores: int) -> None:
-        self.folder, self.cores = folder, cores
+    def __init__(self, folder: Path, *, cores: int, limit: float) -> None:
+        self.folder, self.cores, self.limit = folder, cores, limit
         self.events: list[Spent] = []
         self._began = time.monotonic()
         self._python = install_wheel(folder)
@@ -84,10 +85,9 @@ class Trial:
         host.start(*command, log=self.log(host.name), env=self._environment(host))
 
     def _environment(self, host: Host) -> dict[str, str]:
-        health = {f"RAY_health_check_{name}_ms": str(value) for name, value in _HEALTH.items()}
-        health["RAY_health_check_failure_threshold"] = health.pop("RAY_health_check_failure_threshold_ms")
         found = "" if host is self.second else str(_ROOT)
-        return {"OMP_NUM_THREADS": "1", "PYTHONPATH": found, "PYTHONUNBUFFERED": "1", **health}
+        given = {"PYTHONPATH": found, "TORCHGRASP_CACHE": str(host.folder / "cache"), "OMP_NUM_THREADS": "1"}
+        return given | {f"RAY_health_check_{name}": str(value) for name, value in _HEALTH.items()}
 
     def log(self, name: str) -> Path:
         """The file of what a host's Ray, or a run, has written."""
@@ -99,7 +99,7 @@ class Trial:
         command = [sys.executable, str(_ROOT / "recipes" / "td3_bc.py"), *_TRAINING, *overrides]
         command += [f"output_dir={output}"]
         process = self.first.start(*command, log=self.log(name), env=self._environment(self.first))
-        return Run(process, self.log(name), output)
+        return Run(process, self.log(name), output, limit=self.limit)
 
     def rounds_go_on(self, run: Run, *, count: int = 3) -> None:
         """Wait until more rounds have been learned from."""
@@ -114,10 +114,11 @@ class Run:
         process: of it.
         log: what it writes.
         output: where its folder lies.
+        limit: seconds for anything that is waited for.
     """
 
-    def __init__(self, process: subprocess.Popen[str], log: Path, output: Path) -> None:
-        self.process, self._log, self._output = process, log, output
+    def __init__(self, process: subprocess.Popen[str], log: Path, output: Path, *, limit: float) -> None:
+        self.process, self._log, self._output, self._limit = process, log, output, limit
 
     def said(self, *words: str) -> list[str]:
         """The lines so far that hold all the words."""
@@ -135,11 +136,11 @@ class Run:
 
     def wait(self, ready: Callable[[], object], what: str) -> None:
         """Wait for something; raises where the run ends before, or it takes too long."""
-        deadline = time.monotonic() + _LIMIT
+        deadline = time.monotonic() + self._limit
         while not ready():
             code = self.process.poll()
             if code is not None or time.monotonic() > deadline:
-                how = f"ended with {code}" if code is not None else f"ran {_LIMIT:g} s"
+                how = f"ended with {code}" if code is not None else f"ran {self._limit:g} s"
                 told = self._log.read_text(errors="replace")[-3000:]
                 raise RuntimeError(f"the run {how} before {what}:\n{told}")
             time.sleep(0.1)
@@ -245,17 +246,22 @@ def main(given: Sequence[str] | None = None) -> None:
     """Make the hosts and run the trial in them."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--short", action="store_true", help="one core a host, and no second return")
+    parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)  # of a call from within
+    parser.add_argument("--limit", type=float, default=180.0, help="seconds for anything that is waited for")
     chosen = parser.parse_args(given)
-    if (lack := tell_lack()) is not None:
-        sys.exit(f"No hosts can be made of namespaces: {lack}.")
-    if (code := enter_namespaces()) is not None:
-        sys.exit(code)
-    with tempfile.TemporaryDirectory(prefix="hosts", ignore_cleanup_errors=True) as folder:
-        trial = Trial(Path(folder), cores=1 if chosen.short else 2)
-        try:
-            disturb(trial, thorough=not chosen.short)
-        except (RuntimeError, subprocess.TimeoutExpired) as error:
-            sys.exit(f"{error}")
+    if chosen.folder is None:
+        if (lack := tell_lack()) is not None:
+            sys.exit(f"No hosts can be made of namespaces: {lack}.")
+        with tempfile.TemporaryDirectory(
+            prefix="hosts"
+        ) as folder:  # removed when all that writes there is gone
+            sys.exit(call_in_namespaces(*sys.argv, f"--folder={folder}"))
+    trial = Trial(chosen.folder, cores=1 if chosen.short else 2, limit=chosen.limit)
+    try:
+        disturb(trial, thorough=not chosen.short)
+    except (RuntimeError, subprocess.TimeoutExpired) as error:
+        logs = "".join(f"\n{name}: {trial.log(name).read_text()[-2000:]}" for name in ("first", "second"))
+        sys.exit(f"{error}{logs}")
 
 
 if __name__ == "__main__":

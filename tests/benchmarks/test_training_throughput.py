@@ -21,8 +21,9 @@ def test_rows_hold_what_the_loop_wrote(composed, capsys):
         assert 0 < row["learner_waits_seconds"] < row["iteration_seconds"]
         assert 0 <= row["worker_waits_seconds"] < row["iteration_seconds"]
         assert row["env_step_milliseconds"] > 0 and row["update_milliseconds"] > 0
+        assert 6 * 32 * 4 * 4 < row["episode_bytes"] < row["policy_bytes"]  # at least the steps' points
     out = capsys.readouterr().out
-    assert "x 1.00" in out and "pool 1, overlapping: " in out.splitlines()[-1]
+    assert "An episode has " in out and "x 1.00" in out and "pool 1, overlapping: " in out.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

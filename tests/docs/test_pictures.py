@@ -3,6 +3,7 @@
 import importlib.util
 import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -21,12 +22,18 @@ def test_every_picture_is_shown_with_words():
     assert all(len(told.split()) > 3 for told in words.values())
 
 
-@pytest.mark.skipif(not can_plot(), reason="needs the extra viz")
-def test_plots_of_scale_show_the_figures_of_each_machine():
-    spec = importlib.util.spec_from_file_location("scale_plots", _PICTURES / "scale_plots.py")
+def load_maker(name: str) -> ModuleType:
+    """A script beside the pictures."""
+    spec = importlib.util.spec_from_file_location(name, _PICTURES / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.skipif(not can_plot(), reason="needs the extra viz")
+def test_plots_of_scale_show_the_figures_of_each_machine():
+    module = load_maker("scale_plots")
     sizes = {"batch": (32, 64), "points": (128, 256)}
     rows = [
         {"over": over, "what": "critic", "device": "cuda", over: size, "milliseconds": size, "megabytes": 1.0}
@@ -42,3 +49,24 @@ def test_plots_of_scale_show_the_figures_of_each_machine():
     assert speed.lines[0].get_xydata().tolist() == [[1, 140]]
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["critic, H100", "rollouts, 16-core CPU"]
+
+
+@pytest.mark.skipif(not can_plot(), reason="needs the extra viz")
+def test_plots_of_workers_show_each_way_to_collect():
+    figures = {"learner_waits_seconds": 2.0, "worker_waits_seconds": 7.0}
+
+    def row(collector: str, workers: int, overlap: bool, speed: float) -> dict:
+        told = {"collector": collector, "workers": workers, "overlap": overlap, **figures}
+        return told | {"env_steps_per_second_of_both": speed}
+
+    rows = [row("SerialPool", 0, False, 41.0)]
+    rows += [row("RayPool", count, overlap, 10.0 * count + overlap) for count in (8, 1) for overlap in (0, 1)]
+    figure = load_maker("worker_plots").plot_workers({"rows": dict(enumerate(rows))})
+    speed = figure.axes[0]
+    assert [line.get_xydata().tolist() for line in speed.lines[1:]] == [
+        [[1, 10], [8, 80]],
+        [[1, 11], [8, 81]],
+    ]
+    (legend,) = figure.legends
+    told = [text.get_text() for text in legend.get_texts()]
+    assert told == ["one process", "actors of Ray", "actors of Ray, overlapping"]
