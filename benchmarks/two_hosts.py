@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import psutil
 from network_hosts import Host, Network, call_in_namespaces, tell_lack
 
 _ROOT = Path(__file__).resolve().parents[1]
@@ -63,8 +64,12 @@ class Trial:
         network = Network(folder)
         hidden = [_ROOT / each for each in (*_PACKAGES, "tests", "benchmarks")]
         self.first, self.second = network.add_host("first"), network.add_host("second", hidden=hidden)
-        self._start_ray(self.first, sys.executable, "--head", f"--port={_PORT}", "--include-dashboard=false")
+        head = ("--head", f"--port={_PORT}", "--include-dashboard=false", "--no-monitor")
+        self._start_ray(self.first, sys.executable, *head)
         self._start_ray(self.second, str(self._python), f"--address={self.address}")
+        logs = [self.log(host.name) for host in (self.first, self.second)]
+        wait(lambda: all("Ray runtime started" in log.read_text() for log in logs), limit, "Ray ran")
+        self.tell("Ray runs on both hosts")
 
     @property
     def address(self) -> str:
@@ -135,31 +140,25 @@ class Run:
         return [{k: v for k, v in row.items() if not k.startswith(_CLOCKED)} for row in whole]
 
     def wait(self, ready: Callable[[], object], what: str) -> None:
-        """Wait for something; raises where the run ends before, or it takes too long."""
-        deadline = time.monotonic() + self._limit
-        while not ready():
-            code = self.process.poll()
-            if code is not None or time.monotonic() > deadline:
-                how = f"ended with {code}" if code is not None else f"ran {self._limit:g} s"
-                told = self._log.read_text(errors="replace")[-3000:]
-                raise RuntimeError(f"the run {how} before {what}:\n{told}")
-            time.sleep(0.1)
+        """Wait for something; raises RuntimeError where the run ends before, or it takes too long."""
+        wait(lambda: ready() or self.process.poll() is not None, self._limit, what)
+        if not ready():
+            raise RuntimeError(f"the run ended with {self.process.returncode} before {what}")
 
     def end(self) -> None:
         """Have it save and end, as a scheduler would."""
-        self._signal(signal.SIGTERM)
-        self.process.wait(60)
-
-    def _signal(self, number: int) -> None:
-        for child in find_children(self.process.pid):
-            child.send_signal(number)
+        for child in psutil.Process(self.process.pid).children():  # what `nsenter` runs
+            child.send_signal(signal.SIGTERM)
+        self.process.wait(self._limit)
 
 
-def find_children(pid: int) -> list:
-    """The program that `nsenter` runs."""
-    import psutil
-
-    return psutil.Process(pid).children()
+def wait(ready: Callable[[], object], limit: float, what: str) -> None:
+    """Look every tenth of a second; raises RuntimeError after `limit` seconds."""
+    deadline = time.monotonic() + limit
+    while not ready():
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"{limit:g} s went by before {what}")
+        time.sleep(0.1)
 
 
 def install_wheel(folder: Path) -> Path:
@@ -256,12 +255,12 @@ def main(given: Sequence[str] | None = None) -> None:
             prefix="hosts"
         ) as folder:  # removed when all that writes there is gone
             sys.exit(call_in_namespaces(*sys.argv, f"--folder={folder}"))
-    trial = Trial(chosen.folder, cores=1 if chosen.short else 2, limit=chosen.limit)
     try:
+        trial = Trial(chosen.folder, cores=1 if chosen.short else 2, limit=chosen.limit)
         disturb(trial, thorough=not chosen.short)
     except (RuntimeError, subprocess.TimeoutExpired) as error:
-        logs = "".join(f"\n{name}: {trial.log(name).read_text()[-2000:]}" for name in ("first", "second"))
-        sys.exit(f"{error}{logs}")
+        logs = (f"\n{log.name}:\n{log.read_text()[-3000:]}" for log in sorted(chosen.folder.glob("*.log")))
+        sys.exit(f"{error}{''.join(logs)}")
 
 
 if __name__ == "__main__":

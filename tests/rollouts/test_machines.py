@@ -132,7 +132,7 @@ class TestIngredients:
     def test_a_path_of_this_machine_alone(self, ask, packed, meshes):
         meshes.rename(meshes.parent / "elsewhere")
         there = ask(machines.look_inside, [], packed, folders=[ROOT])
-        assert there == f"{meshes} is not a directory: give the folder that holds the mesh files."
+        assert there == f"objects: {meshes} is not a directory: give the folder that holds the mesh files."
 
     def test_other_files_under_the_same_path(self, ask, packed, meshes):
         here = machines.look_inside([], packed)
