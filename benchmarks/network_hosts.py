@@ -1,13 +1,13 @@
 """Hosts made of namespaces on one machine: each with a network, processes, files and a name of its own.
 
-All of it lives in the namespaces of `call_in_namespaces`: nothing is left when that call ends, however it
-ends. Needs Linux with `unshare` and `nsenter` (util-linux) and `ip` (iproute2).
+All of it lives in the namespaces of `call_in_namespaces`: nothing is left when that call ends. Needs Linux with `unshare` and `nsenter` (util-linux) and `ip` (iproute2).
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -43,8 +43,16 @@ def _unshare() -> list[str]:
 
 
 def call_in_namespaces(*arguments: str) -> int:
-    """The exit code of a Python script that ran in namespaces of its own, of which nothing is left."""
-    return subprocess.call([*_unshare(), sys.executable, *arguments])
+    """The exit code of a Python script that ran in namespaces of its own, of which nothing is left.
+
+    SIGTERM ends it like an error.
+    """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    with subprocess.Popen([*_unshare(), sys.executable, *arguments]) as process:
+        try:
+            return process.wait()
+        finally:
+            process.kill()
 
 
 class Network:
