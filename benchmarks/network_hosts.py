@@ -1,6 +1,7 @@
 """Hosts made of namespaces on one machine: each with a network, processes, files and a name of its own.
 
-All of it lives in the namespaces of `call_in_namespaces`: nothing is left when that call ends. Needs Linux with `unshare` and `nsenter` (util-linux) and `ip` (iproute2).
+All of it lives in the namespaces of `call_in_namespaces`: nothing is left when that call ends. Needs Linux
+with `unshare` and `nsenter` (util-linux) and `ip` (iproute2).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -52,7 +54,9 @@ def call_in_namespaces(*arguments: str) -> int:
         try:
             return process.wait()
         finally:
-            process.kill()
+            if process.poll() is None:
+                process.kill()
+                time.sleep(1.0)  # the kernel ends what is inside, which may be writing
 
 
 class Network:
