@@ -1,0 +1,119 @@
+"""Pages that show tables and figures of the files, written between markers: they can be read anywhere.
+
+`<!-- table NAME -->` and `<!-- end -->` on lines of their own hold a table. Within a sentence
+`<!--fig TABLE/RECORD {template}-->95.5 %<!--/-->` holds a figure; it may not begin a line, where it would end
+the paragraph.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from result_tables import (
+    NOT_RECORDED,
+    RESULTS,
+    ROOT,
+    Record,
+    find_row,
+    read_table,
+    show,
+    shown_records,
+    table_rows,
+)
+
+from torchgrasp.errors import ConfigError
+
+_TABLE = re.compile(r"^<!-- table (\S+) -->$.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
+_FIGURE = re.compile(r"<!--fig\s(\S+)\s([^>]*?)-->[^<]*<!--/-->")
+
+
+def pages(root: Path = ROOT) -> list[Path]:
+    """Every page that may show results."""
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+
+
+def render_page(text: str, folder: Path = RESULTS) -> str:
+    """A page with its tables and figures as the files have them; ConfigError names a marker that is wrong."""
+    text = _TABLE.sub(lambda found: _place(render_table(found[1], folder), found[1]), text)
+    text = _FIGURE.sub(lambda found: _figure(found[1], found[2], folder), text)
+    left = re.search(r"<!-- table (?!\S+ -->\n\n).*|^\s*(?:[-*] )?<!--fig.*", text, re.MULTILINE)
+    if left:
+        raise ConfigError(
+            f"{left[0][:80]!r} is no whole marker, or begins a line: docs/benchmarks.md tells how one looks."
+        )
+    return text
+
+
+def shown_tables(text: str) -> list[str]:
+    """Names of the tables that a page shows."""
+    return _TABLE.findall(text)
+
+
+def render_table(name: str, folder: Path = RESULTS) -> str:
+    """A table in Markdown, with a line below that tells where its figures come from."""
+    table = read_table(name, folder)
+    columns = table.definition.columns
+    lines = [[column.name for column in columns]]
+    for row in table_rows(table, folder):
+        bold = row.get("bold", False)
+        cells = [(column.name, show(column.cell, row)) for column in columns]
+        lines.append([f"**{cell}**" if cell and _is_bold(bold, name) else cell for name, cell in cells])
+    text = [_line(line) for line in lines]
+    text.insert(1, "|" + "---|" * len(columns))
+    if table.definition.origin:
+        told = f"*{table.definition.title}. {tell_origin(shown_records(table, folder).values())}*"
+    else:
+        told = f"*{table.definition.title}.*"
+    text += ["", *_wrapped(told)]
+    return "\n".join(text)
+
+
+def tell_origin(records: Iterable[Record]) -> str:
+    """Commits, versions, seeds and machines of records, those that agree in one sentence."""
+    seeds: dict[tuple[str, ...], list[int]] = {}
+    for record in records:
+        verb = "Commit" if record.commit_is == "measured" else "Written down at commit"
+        machine = "machine not recorded" if record.machine == NOT_RECORDED else record.machine
+        origin = (verb, record.commit, record.versions.get("torchgrasp", "unknown"), machine)
+        seeds.setdefault(origin, []).extend([] if record.seed is None else [record.seed])
+    return " ".join(
+        f"{verb} {commit} (version {version}){_tell_seeds(seeds[verb, commit, version, machine])}; {machine}."
+        for verb, commit, version, machine in seeds
+    )
+
+
+def _tell_seeds(seeds: list[int]) -> str:
+    found = sorted(set(seeds))
+    return f", seed{'s' * (len(found) > 1)} {', '.join(map(str, found))}" if found else ""
+
+
+def _is_bold(bold: object, column: str) -> bool:
+    return column in bold if isinstance(bold, list) else bool(bold)
+
+
+def _line(cells: list[str]) -> str:
+    return "| " + " | ".join(cells).rstrip() + " |" if cells[-1] else "| " + " | ".join(cells) + "|"
+
+
+def _place(table: str, name: str) -> str:
+    return f"<!-- table {name} -->\n\n{table}\n\n<!-- end -->"
+
+
+def _figure(place: str, template: str, folder: Path) -> str:
+    shown = show(" ".join(template.split()), find_row(place, folder))
+    if not shown:
+        raise ConfigError(f"{place} has no value for {template}: see docs/results/{place.split('/')[0]}.")
+    return f"<!--fig {place} {template}-->{shown}<!--/-->"
+
+
+def _wrapped(text: str, width: int = 100) -> Iterator[str]:
+    line = ""
+    for word in text.split(" "):
+        if line and len(line) + 1 + len(word) > width:
+            yield line
+            line = word
+        else:
+            line = f"{line} {word}" if line else word
+    yield line

@@ -1,0 +1,227 @@
+"""Tables of results: one folder a table, with its definition in table.json and a small JSON a record.
+
+A record is what one command gave: where it was measured, and the rows that it gives to the table. A row is
+a mapping of values by name, nested where it has several measurements, in SI units and rates from 0 to 1 as in
+summary.json. A cell of a table is a template over a row's values; see `show`.
+"""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from torchgrasp.documents import Count, Document, Name, Plain, check_document, read_document, read_json
+from torchgrasp.errors import ConfigError
+
+ROOT = Path(__file__).parents[2]
+RESULTS = Path(__file__).parent
+NOT_RECORDED = "not recorded"
+_REMEDY = "docs/benchmarks.md tells how a table and a record look"
+_Words = Annotated[str, Field(min_length=1, max_length=4000)]
+
+
+class Record(Document):
+    """What one command gave.
+
+    Attributes:
+        command: as it is typed in a checkout, `<run>` and `<folder>` for what it needs beside it.
+        commit: short hash of the version that gave the figures.
+        commit_is: "measured" where that version gave them; "recorded" where only the commit is known that
+            wrote them down, and the version that gave them is that one or an earlier one.
+        seed: of the run, or of its training; None where it was not written down or there are several.
+        machine: in words.
+        versions: of torchgrasp, and of what else is known.
+        recorded: "run" where a run's own file was read, "page" where the figures come from a page's text.
+        note: what else must be known to read the figures.
+        rows: the values.
+    """
+
+    command: _Words
+    commit: Annotated[str, Field(pattern=r"^[0-9a-f]{7,40}$")]
+    commit_is: Literal["measured", "recorded"] = "measured"
+    seed: Count | None = None
+    machine: _Words
+    versions: Annotated[dict[Name, Name], Field(min_length=1)]
+    recorded: Literal["run", "page"]
+    note: Name = ""
+    rows: Annotated[list[Plain], Field(min_length=1)]
+
+
+class Column(Document):
+    """One column: its heading, and the template of its cells."""
+
+    name: Name
+    cell: _Words
+
+
+class Definition(Document):
+    """A table.
+
+    Attributes:
+        title: what it shows, in a line.
+        columns: from left to right.
+        key: the value by which rows of several records are one row; None keeps every row by itself.
+        records: by name, in the table's order; of the file `source` where that is given.
+        source: a JSON file below the repository whose `results` hold the records by name.
+        rows: where the table is no plain list of its records' rows: mappings of values, in which
+            "@table/record" stands for that record's first row, "@table/record#3" for its fourth. Under the
+            name "*" its values stand in the row themselves.
+        reads: what of a command's output makes the rows. "summary": the success of summary.json, in the row
+            or in the one mapping of it that holds a success; where that has an `of`, the success of this
+            name in the summary's `comparison`. "benchmark": the rows of benchmark.json as they are. None:
+            `run` cannot make the table again.
+        origin: whether a line below the table tells commits and machines.
+    """
+
+    title: _Words
+    columns: Annotated[list[Column], Field(min_length=1)]
+    key: Name | None = None
+    records: list[Name] = Field([])
+    source: Name | None = None
+    rows: list[Plain] = Field([])
+    reads: Literal["summary", "benchmark"] | None = None
+    origin: bool = True
+
+
+@dataclass(frozen=True)
+class Table:
+    """A definition and the records it names."""
+
+    name: str
+    definition: Definition
+    records: Mapping[str, Record]
+
+
+def table_names(folder: Path = RESULTS) -> list[str]:
+    """Every table's name, sorted."""
+    return sorted(path.parent.name for path in folder.glob("*/table.json"))
+
+
+def read_table(name: str, folder: Path = RESULTS) -> Table:
+    """Read a table's definition and records; ConfigError names what is missing or does not belong there."""
+    if name not in table_names(folder):
+        raise ConfigError(f"{name} is no table: choose from {', '.join(table_names(folder))}.")
+    definition = read_document(folder / name / "table.json", Definition, _REMEDY, error=ConfigError)
+    if definition.source is None:
+        there = {path.stem for path in (folder / name).glob("*.json")} - {"table"}
+        if there != set(definition.records):
+            wrong = ", ".join(sorted(there ^ set(definition.records)))
+            raise ConfigError(f"{name}/table.json and its folder do not agree on the records {wrong}.")
+        values = {each: read_json(record_path(name, each, folder), _REMEDY) for each in definition.records}
+    else:
+        source = read_json(ROOT / definition.source, _REMEDY)["results"]
+        values = {each: source[each] for each in definition.records}
+    records = {
+        each: check_document(value, Record, f"{name}/{each}.json", _REMEDY, error=ConfigError)
+        for each, value in values.items()
+    }
+    return Table(name, definition, records)
+
+
+def record_path(table: str, record: str, folder: Path = RESULTS) -> Path:
+    """The file of a record."""
+    return folder / table / f"{record}.json"
+
+
+def table_rows(table: Table, folder: Path = RESULTS) -> list[dict[str, Any]]:
+    """The rows in order: those of its records, joined by `key`, or those that it takes from other tables."""
+    given = [_resolve(row, folder) for row in table.definition.rows]
+    rows = given or [dict(row) for record in table.records.values() for row in record.rows]
+    if table.definition.key is None:
+        return rows
+    joined: dict[Any, dict[str, Any]] = {}
+    for row in rows:
+        joined.setdefault(row[table.definition.key], {}).update(row)
+    return list(joined.values())
+
+
+def shown_records(table: Table, folder: Path = RESULTS) -> dict[str, Record]:
+    """The records that a table shows, its own and those of other tables, by table/record."""
+    found = {f"{table.name}/{name}": record for name, record in table.records.items()}
+    for row in table.definition.rows:
+        for value in row.values():
+            if isinstance(value, str) and value.startswith("@"):
+                place = value[1:].split("#")[0]
+                found[place] = find_record(place, folder)
+    return found
+
+
+def find_record(place: str, folder: Path = RESULTS) -> Record:
+    """The record of "table/record"; ConfigError where there is none."""
+    table, _, record = place.partition("/")
+    records = read_table(table, folder).records
+    if record not in records:
+        raise ConfigError(f"{place} is no record: {table} has {', '.join(records)}.")
+    return records[record]
+
+
+def find_row(place: str, folder: Path = RESULTS) -> dict[str, Any]:
+    """The row of "table/record", or of "table/record#2" the third."""
+    record, _, index = place.partition("#")
+    rows = find_record(record, folder).rows
+    number = int(index or 0)
+    if number >= len(rows):
+        raise ConfigError(f"{place}: the record has {len(rows)} rows, counted from 0.")
+    return rows[number]
+
+
+def _resolve(row: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in row.items():
+        refers = isinstance(value, str) and value.startswith("@")
+        taken: Any = find_row(value[1:], folder) if refers else value
+        found.update(taken if name == "*" else {name: taken})
+    return found
+
+
+class _Cell(string.Formatter):
+    """Templates whose fields are dotted names of a row's values."""
+
+    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> tuple[Any, str]:
+        """The value that a dotted name leads to; KeyError where there is none."""
+        value: Any = kwargs
+        for part in field_name.split("."):
+            value = value[int(part)] if isinstance(value, list) else value[part]
+        return value, field_name
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Format by Python's rules and by those of `show`."""
+        if format_spec.startswith("pct"):
+            return f"{100 * value:.{format_spec[3:] or 1}f} %"
+        if format_spec.startswith("ms"):
+            return f"{1e3 * value:,.{format_spec[2:] or 0}f}"
+        if format_spec == "rate":
+            return f"{100 * value:.1f}"
+        if format_spec in ("ci", "to"):
+            low, high = (f"{100 * end:.1f}" for end in value)
+            return f"[{low}, {high}]" if format_spec == "ci" else f"{low} to {high}"
+        if format_spec == "rates":
+            return ", ".join(f"{100 * each:.1f}" for each in value)
+        if format_spec == "mean":
+            return f"{100 * sum(value) / len(value):.1f}"
+        if format_spec == "success":
+            return show("{success_rate:pct} {success_ci95:ci}", value)
+        return format(value, format_spec)
+
+
+def show(template: str, row: Mapping[str, Any]) -> str:
+    """A template filled from a row; empty where the row lacks a value of it.
+
+    Fields are dotted names, formatted as in Python (`{milliseconds:,.0f}`) or by these words: `pct` (0.955 is
+    95.5 %, `pct0` without decimals), `rate` (the same without the sign), `rates` and `mean` (of a list), `ci`
+    (an interval of rates as [93.0, 97.1]), `to` (as 93.0 to 97.1), `success` (rate and interval of a
+    success table), `ms` (seconds in milliseconds, `ms1` with a decimal).
+
+    >>> show("{now.success_rate:pct} {now.success_ci95:ci}, {x:.2f} m", {"x": 1, "now": {"success_rate": 0.5,
+    ...     "success_ci95": [0.25, 0.75]}})
+    '50.0 % [25.0, 75.0], 1.00 m'
+    """
+    try:
+        return _Cell().vformat(template, (), row)
+    except (KeyError, IndexError, TypeError):
+        return ""
