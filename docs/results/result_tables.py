@@ -7,6 +7,7 @@ summary.json. A cell of a table is a template over a row's values; see `show`.
 
 from __future__ import annotations
 
+import re
 import string
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -69,8 +70,8 @@ class Definition(Document):
         records: by name, in the table's order; of the file `source` where that is given.
         source: a JSON file below the repository whose `results` hold the records by name.
         rows: where the table is no plain list of its records' rows: mappings of values, in which
-            "@table/record" stands for that record's first row, "@table/record#3" for its fourth. Under the
-            name "*" its values stand in the row themselves.
+            "@table/record" stands for that record's first row, "@table/record#3" for its fourth and
+            "@table/record.name" for a mapping of it. Under the name "*" its values stand in the row themselves.
         reads: what of a command's output makes the rows. "summary": the success of summary.json, in the row
             or in the one mapping of it that holds a success; where that has an `of`, the success of this
             name in the summary's `comparison`. "benchmark": the rows of benchmark.json as they are. None:
@@ -146,7 +147,7 @@ def shown_records(table: Table, folder: Path = RESULTS) -> dict[str, Record]:
     for row in table.definition.rows:
         for value in row.values():
             if isinstance(value, str) and value.startswith("@"):
-                place = value[1:].split("#")[0]
+                place = re.split(r"[#.]", value[1:])[0]
                 found[place] = find_record(place, folder)
     return found
 
@@ -161,13 +162,17 @@ def find_record(place: str, folder: Path = RESULTS) -> Record:
 
 
 def find_row(place: str, folder: Path = RESULTS) -> dict[str, Any]:
-    """The row of "table/record", or of "table/record#2" the third."""
-    record, _, index = place.partition("#")
+    """The row of "table/record", of "table/record#2" its third, of "table/record.name" that mapping of it."""
+    whole, _, name = place.partition(".")
+    record, _, index = whole.partition("#")
     rows = find_record(record, folder).rows
     number = int(index or 0)
     if number >= len(rows):
         raise ConfigError(f"{place}: the record has {len(rows)} rows, counted from 0.")
-    return rows[number]
+    found = rows[number] if not name else rows[number].get(name)
+    if not isinstance(found, dict):
+        raise ConfigError(f"{place}: the row has no mapping {name}.")
+    return found
 
 
 def _resolve(row: Mapping[str, Any], folder: Path) -> dict[str, Any]:

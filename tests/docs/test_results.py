@@ -28,7 +28,7 @@ from torchgrasp.errors import ConfigError
 
 _FIGURE = re.compile(r"<!--fig\s(\S+?)(?:#\d+)?\s")
 ORIGIN = {
-    "command": "python recipes/evaluate.py policy=random episodes=2 objects.num_objects=2 collector.num_workers=0",
+    "command": "python recipes/evaluate.py policy=random episodes=2 objects.num_objects=2",
     "commit": "0123456",
     "machine": "two cores",
     "versions": {"torchgrasp": "0.1.0"},
@@ -101,12 +101,14 @@ def test_rows_are_joined_by_key_and_taken_from_other_tables(tmp_path):
         "one",
         {"key": "policy", "records": ["a", "b"]},
         a=[{"policy": "x", "u": 1}],
-        b=[{"policy": "x", "v": 2}],
+        b=[{"policy": "x", "v": 2, "w": {"x": 1}}],
     )
-    assert table_rows(read_table("one", tmp_path), tmp_path) == [{"policy": "x", "u": 1, "v": 2}]
-    write(tmp_path, "two", {"rows": [{"*": "@one/a", "other": "@one/b#0", "goal": 3}]})
+    assert table_rows(read_table("one", tmp_path), tmp_path) == [
+        {"policy": "x", "u": 1, "v": 2, "w": {"x": 1}}
+    ]
+    write(tmp_path, "two", {"rows": [{"*": "@one/a", "other": "@one/b#0.w", "goal": 3}]})
     (row,) = table_rows(read_table("two", tmp_path), tmp_path)
-    assert row == {"policy": "x", "u": 1, "other": {"policy": "x", "v": 2}, "goal": 3}
+    assert row == {"policy": "x", "u": 1, "other": {"x": 1}, "goal": 3}
     assert list(shown_records(read_table("two", tmp_path), tmp_path)) == ["one/a", "one/b"]
     with pytest.raises(ConfigError, match="counted from 0"):
         find_row("one/a#1", tmp_path)
