@@ -38,7 +38,7 @@ def render_page(text: str, folder: Path = RESULTS) -> str:
     """A page with its tables and figures as the files have them; ConfigError names a marker that is wrong."""
     text = _TABLE.sub(lambda found: _place(render_table(found[1], folder), found[1]), text)
     text = _FIGURE.sub(lambda found: _figure(found[1], found[2], folder), text)
-    left = re.search(r"<!-- table (?!\S+ -->\n\n).*|^\s*(?:[-*] )?<!--fig.*", text, re.MULTILINE)
+    left = re.search(r"^<!-- table (?!\S+ -->\n\n).*|^\s*(?:[-*] )?<!--fig.*", text, re.MULTILINE)
     if left:
         raise ConfigError(
             f"{left[0][:80]!r} is no whole marker, or begins a line: docs/benchmarks.md tells how one looks."

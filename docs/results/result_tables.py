@@ -71,7 +71,7 @@ class Definition(Document):
         source: a JSON file below the repository whose `results` hold the records by name.
         rows: where the table is no plain list of its records' rows: mappings of values, in which
             "@table/record" stands for that record's first row, "@table/record#3" for its fourth and
-            "@table/record.name" for a mapping of it. Under the name "*" its values stand in the row themselves.
+            "@table/record.name" for a mapping of it. Under the name "*" its values stand in the row.
         reads: what of a command's output makes the rows. "summary": the success of summary.json, in the row
             or in the one mapping of it that holds a success; where that has an `of`, the success of this
             name in the summary's `comparison`. "benchmark": the rows of benchmark.json as they are. None:
