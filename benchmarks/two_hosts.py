@@ -243,7 +243,7 @@ def compare(trial: Trial, run: Run) -> None:
 
 def main(given: Sequence[str] | None = None) -> None:
     """Make the hosts and run the trial in them."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--short", action="store_true", help="one core a host, and no second return")
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)  # of a call from within
     parser.add_argument("--limit", type=float, default=180.0, help="seconds for anything that is waited for")
