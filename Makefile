@@ -17,7 +17,7 @@ test: $(VENV)/.installed-dev  ## tests, doctests and examples (choose: make test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 proofs: $(VENV)/.installed-dev  ## the slow tests: whole runs that are killed, on Ray, in sweeps
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow tests $(ARGS)
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow $(or $(TESTS),tests) $(ARGS)
 
 lint: $(VENV)/.installed-dev  ## style, formatting and types
 	$(BIN)/ruff check .

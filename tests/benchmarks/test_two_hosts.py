@@ -10,6 +10,7 @@ from network_hosts import tell_lack
 from tests.benchmarks.conftest import BENCHMARKS
 
 
+@pytest.mark.slow
 def test_a_host_that_is_cut_off_or_killed_costs_its_episodes_and_nothing_else():
     """The whole trial, in its short form; the script itself compares the metrics."""
     pytest.importorskip("ray", reason="needs the extra ray")
