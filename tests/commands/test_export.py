@@ -15,7 +15,10 @@ def test_files_are_written_and_named(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["policy=nobody"], "nobody"),
+        (["policy=nobody"], "policy='nobody' is not there: give pretrained, a run directory or"),
+        (["policy=."], "policy='.' holds no weights.safetensors"),
+        ([f"policy={'x' * 300}"], "cannot be a path"),
+        (["output=/proc/policy.onnx"], "/proc/policy.onnx cannot be written"),
         (["format=tflite"], "format='tflite' is unknown"),
         (["pretrained"], "'pretrained' is no option: give policy=..., format=..., output=..."),
         (["device=cuda"], "'device=cuda' is no option"),

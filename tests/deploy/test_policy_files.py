@@ -1,6 +1,7 @@
 """What export writes, and what it refuses by name."""
 
 import json
+import re
 import subprocess
 import sys
 import zipfile
@@ -157,6 +158,25 @@ def test_what_is_asked_for_wrongly_is_told(tmp_path):
     (tmp_path / "policy.onnx").mkdir()
     with pytest.raises(StorageError, match=r"policy\.onnx cannot be written"):
         export_policy(policy(), output=tmp_path / "policy.onnx")
+
+
+@pytest.mark.parametrize("name", ["policy.onnx", "policy.json", "grasp_policy.py"])
+def test_a_file_that_cannot_be_written_leaves_nothing_half_written(name, tmp_path):
+    (tmp_path / name).mkdir()
+    with pytest.raises(StorageError, match=re.escape(f"{name} cannot be written")) as told:
+        export_policy(policy(), output=tmp_path / "policy.onnx")
+    assert "\n" not in str(told.value)
+    assert not [file.name for file in tmp_path.iterdir() if file.name.startswith(".")]
+
+
+@pytest.mark.parametrize(("format", "ending"), [("onnx", "onnx"), ("torch_export", "pt2")])
+def test_a_folder_that_takes_no_file_is_told(format, ending, tmp_path):
+    name = f"{'x' * 250}.{ending}"  # of the longest that a file may have: none fits beside it
+    with pytest.raises(StorageError, match="cannot be written") as told:
+        export_policy(policy(), format=format, output=tmp_path / name)
+    assert "\n" not in str(told.value) and not list(tmp_path.iterdir())
+    with pytest.raises(StorageError, match="cannot be written"):
+        export_policy(policy(), format=format, output=f"/proc/policy.{ending}")
 
 
 @pytest.mark.parametrize("package", ["onnx", "onnxruntime", "onnxscript"])

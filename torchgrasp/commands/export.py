@@ -25,13 +25,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the files, and name them."""
     from torchgrasp.config.trained_policy import load_policy
+    from torchgrasp.config.weights_files import check_weights
     from torchgrasp.deploy.policy_files import FORMATS, export_policy
 
     options = _read_options(args.options)
     kind = options.get("format", FORMATS[0])
     ending = "pt2" if kind == "torch_export" else "onnx"
     trust = [each for each in options.get("trust", "").split(",") if each]
-    policy = load_policy(options.get("policy", "pretrained"), trust=trust)
+    source = options.get("policy", "pretrained")
+    if source != "pretrained":
+        check_weights("policy", source)
+    policy = load_policy(source, trust=trust)
     for file in export_policy(policy, format=kind, output=options.get("output", f"policy.{ending}")):
         print(f"Written to {file}")
     return 0

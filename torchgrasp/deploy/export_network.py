@@ -8,7 +8,7 @@ import logging
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -98,7 +98,7 @@ def write_torch(policy: TrainedPolicy, file: Path) -> None:
     buffer = io.BytesIO()  # a file's name would stand in the archive
     with _quiet():
         torch.export.save(program, buffer)
-    with _whole(file) as part:
+    with written_whole(file) as part:
         part.write_bytes(buffer.getvalue())
 
 
@@ -123,7 +123,7 @@ def write_onnx(policy: TrainedPolicy, file: Path) -> None:
     _forget_origins(model.graph)
     onnx.checker.check_model(model)
     _compare(policy, runtime.InferenceSession(model.SerializeToString()))
-    with _whole(file) as part:
+    with written_whole(file) as part:
         part.write_bytes(model.SerializeToString())
 
 
@@ -200,7 +200,7 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def _whole(file: Path) -> Iterator[Path]:
+def written_whole(file: Path) -> Iterator[Path]:
     """A file beside `file` that takes its place once it is written."""
     part = file.with_name(f".{os.getpid()}.{file.name}")
     try:
@@ -209,4 +209,5 @@ def _whole(file: Path) -> Iterator[Path]:
     except OSError as error:
         raise StorageError(f"{file} cannot be written ({error.strerror or error}).") from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # it took its place, or was never made
+            part.unlink()

@@ -11,7 +11,7 @@ from torchgrasp.config.trained_policy import TrainedPolicy
 from torchgrasp.config.trained_view import check_action_space, choose_transforms, training_lens
 from torchgrasp.deploy import runner
 from torchgrasp.deploy.arguments import HIGHEST, LOWEST
-from torchgrasp.deploy.export_network import list_inputs, list_outputs, write_onnx, write_torch
+from torchgrasp.deploy.export_network import list_inputs, list_outputs, write_onnx, write_torch, written_whole
 from torchgrasp.errors import ConfigError, StorageError
 from torchgrasp.geometry import ACTION_BOUND, gripper_control_points
 from torchgrasp.objects.gripper import hand_boxes
@@ -55,9 +55,10 @@ def export_policy(policy: TrainedPolicy, *, format: str = "onnx", output: str | 
         The files written.
 
     Raises:
-        ConfigError: where the policy, or a transform of it, cannot be exported; the message names it.
+        ConfigError: where the policy, or a transform of it, cannot be exported, and where `format` is unknown
+            or `output` ends otherwise; the message names it.
         MissingPackageError: where `onnx` is asked for without the extra `export`.
-        StorageError: where a file cannot be written.
+        StorageError: where a file cannot be written, which leaves the one of before as it was.
 
     Example:
         >>> import tempfile, torchgrasp
@@ -85,10 +86,8 @@ def export_policy(policy: TrainedPolicy, *, format: str = "onnx", output: str | 
         file.with_name("grasp_policy.py"): inspect.getsource(runner),
     }
     for each, text in texts.items():
-        try:
-            each.write_text(text)
-        except OSError as error:
-            raise StorageError(f"{each} cannot be written ({error.strerror}).") from error
+        with written_whole(each) as part:
+            part.write_text(text)
     return [file, *texts]
 
 
