@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -28,6 +29,7 @@ from torchgrasp.sim.world import LIFTED
 
 _FRAME = 0.05  # seconds between the frames of a film
 _SIZE = 480
+_BEGINS = b'{"policy": '  # every row
 
 
 def benchmark_franka(cfg: DictConfig) -> list[dict]:
@@ -35,19 +37,21 @@ def benchmark_franka(cfg: DictConfig) -> list[dict]:
     options = cfg.franka
     path = Path(options.results)
     asked = {"policy": str(options.policy), "split": str(options.split), "seed": int(cfg.seed)}
-    asked["objects"] = int(options.objects)
-    rows = _read(path, asked)
-    stage = _Stage(asked, options)
-    scene = rows[-1]["scene"] + 1 if rows else 0
+    asked |= {"objects": int(options.objects), "watchdog": float(options.watchdog)}
+    rows = read_rows(path, asked)
+    stage = _Stage(asked)
+    scene, left_out = rows[-1]["scene"] + 1 if rows else 0, 0
     while len(rows) < options.episodes:
         film = options.film if len(rows) == 0 else None
         row = stage.play(scene, film)
         scene += 1
         if row is None:
+            left_out += 1
             continue
         if row["cause"] == "interrupted":
             raise KeyboardInterrupt
-        rows.append({**asked, "episode": len(rows), **row})
+        rows.append({**asked, "episode": len(rows), "left_out": left_out, **row})
+        left_out = 0
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a") as file:
             file.write(json.dumps(rows[-1]) + "\n")
@@ -57,43 +61,80 @@ def benchmark_franka(cfg: DictConfig) -> list[dict]:
 
 
 def summarize(rows: list[dict]) -> dict:
-    """Success with its interval, stops by cause, and what the gripper's width says beside the truth."""
+    """Success with its interval, outcomes, and what the gripper's width says beside the truth.
+
+    `left_out` counts scenes whose start the arm may not stand at; they are no episodes.
+    """
     table = SuccessTable()
     for row in rows:
-        table.add(row["object"], row["lifted"], cause=None if row["lifted"] else row["cause"] or "slipped")
+        table.add(row["object"], row["lifted"], cause=None if row["lifted"] else name_outcome(row))
     whole = table.summary()
     keep = {key: whole[key] for key in ("success_rate", "success_ci95", "episodes")}
     return {
         **keep,
         "lifted": table.successes,
+        "left_out": sum(row["left_out"] for row in rows),
+        "outcomes": dict(Counter(name_outcome(row) for row in rows)),
         "stops": dict(Counter(row["cause"] for row in rows if row["cause"])),
         "held_but_not_lifted": sum(row["held"] and not row["lifted"] for row in rows),
         "lifted_but_not_held": sum(row["lifted"] and not row["held"] for row in rows),
     }
 
 
-def _read(path: Path, asked: dict) -> list[dict]:
-    """Rows of a file that was made with the same options; none where there is no file."""
+def name_outcome(row: dict) -> str:
+    """How an episode ended: lifted, why the arm was stopped, slipped after it was caught, or missed."""
+    if row["lifted"]:
+        return "lifted"
+    return row["cause"] or ("slipped" if row["caught"] else "missed")
+
+
+def read_rows(path: Path, asked: dict) -> list[dict]:
+    """Rows of a file that was made with the same options; none where there is no file.
+
+    A last line that was being written when the run was killed is dropped, from the file too.
+
+    Raises:
+        ConfigError: where the file is of other options, or damaged.
+    """
     if not path.exists():
         return []
-    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    lines = path.read_bytes().splitlines(keepends=True)
+    half = lines.pop() if lines and _is_half(lines[-1]) else b""
+    rows = [_read_row(line, path, number) for number, line in enumerate(lines, start=1)]
     for row in rows:
         if any(row.get(key) != value for key, value in asked.items()):
             told = ", ".join(f"{key}={row.get(key)}" for key in asked)
             raise ConfigError(f"franka.results={path} is of {told}: give another file, or the same options.")
+    if half:
+        print(f"{path}: the last line was half written and is dropped; its episode is run again.", flush=True)
+        os.truncate(path, sum(map(len, lines)))
     return rows
+
+
+def _is_half(line: bytes) -> bool:
+    """Whether a line is the beginning of a row whose writing was cut off."""
+    return not line.endswith(b"\n") and _BEGINS.startswith(line[: len(_BEGINS)])
+
+
+def _read_row(line: bytes, path: Path, number: int) -> dict:
+    try:
+        row = json.loads(line)
+    except ValueError as error:
+        raise ConfigError(f"franka.results={path} is damaged in line {number}: give another file.") from error
+    if not isinstance(row, dict):
+        raise ConfigError(f"franka.results={path} holds no row in line {number}: give another file.")
+    return row
 
 
 def _tell(row: dict) -> str:
     end = f"{row['cause']}: {row['reason']}" if row["cause"] else f"{1000 * row['width']:.1f} mm wide"
-    word = "lifted" if row["lifted"] else "not lifted"
-    return f"{row['episode']:4d} {row['object']:24s} {word:10s} {row['steps']:3d} steps, {end}"
+    return f"{row['episode']:4d} {row['object']:24s} {name_outcome(row):10s} {row['steps']:3d} steps, {end}"
 
 
 class _Stage:
     """Objects, starts, policy and camera of the episodes."""
 
-    def __init__(self, asked: dict, options: DictConfig) -> None:
+    def __init__(self, asked: dict) -> None:
         policy = torchgrasp.load_policy(asked["policy"])
         self._objects = ProceduralObjects(asked["split"], num_objects=asked["objects"])
         env = torchgrasp.make_env(
@@ -104,7 +145,7 @@ class _Stage:
         intrinsics, place = self._camera.intrinsics, self._camera.T_ee_camera
         self._agent = GraspAgent(policy, intrinsics=intrinsics, T_ee_camera=place)
         self._limits = ArmLimits()
-        self._watchdog = float(options.watchdog)
+        self._watchdog = asked["watchdog"]
 
     def play(self, number: int, film: str | None) -> dict | None:
         """The row of one scene; None where the arm may not stand at its start."""
@@ -112,7 +153,8 @@ class _Stage:
         try:
             self._limits.check_joints(scene.q)
             self._limits.check_pose(forward_kinematics(scene.q[None])[0])
-        except StopError:
+        except StopError as error:
+            print(f"     scene {number} is left out: {error}", flush=True)
             return None
         target = self._objects[scene.object_id]
         with Rehearsal(target, scene.T_base_object, scene.q, physics=scene.physics) as rehearsal:

@@ -30,6 +30,8 @@ class GraspOutcome:
         steps: commands that were followed.
         cause: why the arm was stopped, in a word as in `StopError`; None where it was not.
         reason: the same in a sentence.
+        caught: whether something was between the fingers once they had closed, before the lift. What was
+            caught and is not held has slipped.
     """
 
     held: bool
@@ -37,6 +39,7 @@ class GraspOutcome:
     steps: int
     cause: str | None = None
     reason: str = ""
+    caught: bool = False
 
 
 class ClosedLoop:
@@ -99,11 +102,11 @@ class ClosedLoop:
         self._period, self._watchdog, self._max_age, self._patience = period, watchdog, max_age, patience
         self._force, self._lift_height, self._min_width = force, lift_height, min_width
         self._clock, self._tell = clock, tell
-        self._steps = 0
+        self._steps, self._caught = 0, False
 
     def run(self) -> GraspOutcome:
         """Grasp once: reset the agent, approach, close, lift, look at the fingers' distance."""
-        self._steps = 0
+        self._steps, self._caught = 0, False
         try:
             return self._grasp()
         except StopError as error:
@@ -117,7 +120,7 @@ class ClosedLoop:
             raise
 
     def _stopped(self, cause: str, reason: str) -> GraspOutcome:
-        return GraspOutcome(False, float("nan"), self._steps, cause, reason)
+        return GraspOutcome(False, float("nan"), self._steps, cause, reason, self._caught)
 
     def _grasp(self) -> GraspOutcome:
         self.agent.reset()
@@ -126,13 +129,14 @@ class ClosedLoop:
         self.arm.open()
         self._approach()
         self.arm.grasp(self._force)
+        self._caught = self.arm.width > self._min_width
         joints, hand = self._find_hand()
         hand[2, 3] = min(hand[2, 3] + self._lift_height, self.limits.workspace[1][2])
         hand = self.limits.reach(joints, hand)
         self.limits.check_pose(hand)
         self.arm.go(hand)
         width = self.arm.width
-        return GraspOutcome(width > self._min_width, width, self._steps)
+        return GraspOutcome(width > self._min_width, width, self._steps, caught=self._caught)
 
     def _find_hand(self) -> tuple[np.ndarray, np.ndarray]:
         """Joints (7,), which are within their limits, and the hand's pose (4, 4)."""
