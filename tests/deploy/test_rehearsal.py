@@ -1,15 +1,18 @@
 """The rehearsal's scene: the object as it is told, lying still, and a camera that sees it."""
 
+import dataclasses
+import socket
 import sys
+import threading
 import time
 
 import numpy as np
 import pytest
 
 from tests.deploy.stage import CAMERA, drawn, rehearse
-from torchgrasp.deploy.rehearsal import RehearsalCamera
+from torchgrasp.deploy.rehearsal import Rehearsal, RehearsalCamera
 from torchgrasp.deploy.rehearsal_scene import OBJECT, OBJECT_JOINT, object_inertia
-from torchgrasp.errors import MissingPackageError
+from torchgrasp.errors import ConfigError, MissingPackageError, ObjectError
 from torchgrasp.sim import Physics
 
 
@@ -57,6 +60,47 @@ def test_coordinates_and_snapshots_agree():
         now = rehearsal.now
         qpos = rehearsal.to_qpos(now)
         assert qpos.shape == (rehearsal.model.nq,) and np.isclose(qpos[:9], now.joints).all()
+
+
+PORTS = (1337, 1338)  # of libfranka's arm and hand
+
+
+def listen(host, port):
+    server = socket.create_server((host, port))
+    server.settimeout(5.0)
+    return server
+
+
+def is_free(host):
+    for port in PORTS:
+        listen(host, port).close()
+    return True
+
+
+@pytest.mark.parametrize("port", PORTS)
+def test_a_port_that_is_taken_is_told_and_nothing_stays_open(port):
+    host = "127.83.0.1"
+    rehearsal = rehearse(hosts=[host])
+    with listen(host, port), pytest.raises(ConfigError, match=f"hosts: none has both ports.*{host}"):
+        rehearsal.__enter__()
+    assert is_free(host)
+    with rehearse(hosts=[host]) as again:
+        assert again.host == host
+    with listen(host, port), rehearse(hosts=[host, "127.83.0.2"]) as next_one:
+        assert next_one.host == "127.83.0.2"
+
+
+def test_an_object_that_mujoco_refuses_is_told_and_nothing_stays_open():
+    target, scene = drawn()
+    host, threads = "127.83.0.3", threading.active_count()
+    speck = dataclasses.replace(target, parts=tuple(1e-7 * part for part in target.parts))
+    rehearsal = Rehearsal(speck, scene.T_base_object, scene.q, hosts=[host])
+    with pytest.raises(ObjectError, match=f"{target.name} cannot be rehearsed.*too small") as told:
+        rehearsal.__enter__()
+    assert "\n" not in str(told.value)
+    assert is_free(host) and threading.active_count() == threads
+    with pytest.raises(RuntimeError, match="already cleaned up"):
+        rehearsal._simulator.cleanup()
 
 
 def test_without_franky_sim_the_extra_is_named(monkeypatch):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
@@ -13,13 +13,14 @@ import trimesh
 
 from torchgrasp.deploy.depth_camera import Picture
 from torchgrasp.deploy.rehearsal_scene import OBJECT_JOINT, Contact, build_scene, damp_object
-from torchgrasp.errors import MissingPackageError
+from torchgrasp.errors import ConfigError, MissingPackageError, ObjectError
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.camera import Camera, View
 from torchgrasp.sim.kinematics import forward_kinematics
 from torchgrasp.sim.physics import Physics
 
 _OPEN_WIDTH = 0.08
+_HOSTS = tuple(f"127.0.0.{last}" for last in range(1, 255))
 # Stiff enough that a thin object meets the force that the gripper is asked for, N/m of a finger.
 _FINGER_STIFFNESS = 4000.0
 # The drives' damping: franky-sim's own, ten times less than this stiffness, lags 0.1 s behind each command.
@@ -56,12 +57,15 @@ class Rehearsal:
         contact: how bodies touch.
         reflex_torque: Nm that contact may put on a joint of the arm before the robot stops by itself, as a
             Franka does; inf for an arm that never does.
+        hosts: addresses of the loopback, of which the first with free ports is taken.
 
     Attributes:
         host: address to connect to.
 
     Raises:
         MissingPackageError: without franky-sim.
+        ConfigError: at the start, where the ports of all addresses are taken.
+        ObjectError: at the start, where MuJoCo refuses the object.
     """
 
     def __init__(
@@ -73,6 +77,7 @@ class Rehearsal:
         physics: Physics | None = None,
         contact: Contact | None = None,
         reflex_torque: float = 40.0,
+        hosts: Sequence[str] = _HOSTS,
     ) -> None:
         franky_sim = _load_franky_sim()
         self.target, self.physics = target, physics or Physics()
@@ -86,24 +91,45 @@ class Rehearsal:
         )
         self._robot._kp_hand = np.full(2, _FINGER_STIFFNESS)
         build_scene(self._simulator, target, T_base_object, self.physics, contact or Contact())
-        self._server = franky_sim.SimulationServer(self._simulator)
+        self._server = franky_sim.SimulationServer(self._simulator, tuple(hosts))
         self._watchers: list[Callable[[Snapshot], None]] = []
         self._told_to_stop = threading.Event()
 
     def __enter__(self) -> Rehearsal:
         self._simulator.init()
-        self._server.init()
+        try:
+            self._begin()
+        except BaseException:
+            self._clean_up()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._clean_up()
+
+    def _begin(self) -> None:
+        try:
+            self._server.init()
+        except OSError as error:
+            raise ConfigError(
+                f"hosts: none has both ports of a robot free ({error}): end what listens there, or give "
+                "others."
+            ) from error
+        except ValueError as error:
+            told = str(error).strip().splitlines()[0]
+            raise ObjectError(
+                f"{self.target.name} cannot be rehearsed: MuJoCo refuses it ({told})."
+            ) from error
         model = self._simulator.model
         damp_object(model, self.target, self.physics)
         self._object = int(model.joint(OBJECT_JOINT).qposadr[0])
         self._now = self._start = self._take_snapshot()
         self._simulator.register_post_step_callback(self._after_step)
         self._server.run_async()
-        return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def _clean_up(self) -> None:
         self._server.cleanup()
         self._simulator.cleanup()
 
