@@ -1,6 +1,7 @@
 """The exported files: the whole way from pictures to poses without torch, beside GraspAgent."""
 
 import json
+import re
 import subprocess
 import sys
 
@@ -180,6 +181,7 @@ def test_a_camera_that_nothing_tells_the_place_of_and_an_episode_that_is_over_ar
     ("options", "told"),
     [
         ({"camera": {"width": 3}}, "give width, height and fx"),
+        ({"camera": {"width": 3, "height": 3, "fx": "wide"}}, "give width, height and fx"),
         ({"camera": {"width": 3, "height": 3, "fx": -1.0}}, "cannot be"),
         ({"T_ee_camera": np.zeros((4, 4))}, "T_ee_camera is no rigid pose"),
         ({"thin": 0}, "thin=0"),
@@ -204,6 +206,7 @@ DAMAGED = {
     "is missing: it lies beside": lambda s: damage(s, network="other.onnx"),
     "is no network": lambda s: damage(s, network="policy.json"),
     "is of another policy": lambda s: damage(s, inputs=["points"]),
+    "of another policy": lambda s: damage(s, outputs=["action"]),
 }
 
 
@@ -214,6 +217,47 @@ def test_a_damaged_file_is_named(folder, tmp_path, told):
     (tmp_path / "policy.json").write_text(DAMAGED[told](settings))
     with pytest.raises(PolicyError, match=told.strip()):
         GraspPolicy(tmp_path / "policy.json")
+
+
+def leave_out(part, name):
+    return {key: value for key, value in part.items() if key != name}
+
+
+def change_transform(settings, number, **options):
+    rows = list(settings["transforms"])
+    rows[number] = rows[number] | options
+    return damage(settings, transforms=rows)
+
+
+NO_NUMBERS = {
+    "KeyError('fx')": lambda s: damage(s, camera=leave_out(s["camera"], "fx")),
+    "cy=middle": lambda s: damage(s, camera=s["camera"] | {"cy": "middle"}),
+    "TypeError": lambda s: damage(s, camera=None),
+    "KeyError('seed')": lambda s: damage(s, transforms=[leave_out(e, "seed") for e in s["transforms"]]),
+    "KeyError('alpha')": lambda s: damage(s, transforms=[leave_out(e, "alpha") for e in s["transforms"]]),
+    "num_points=256.5": lambda s: change_transform(s, 2, num_points=256.5),
+    "marked=[[0.0, 1.0]]": lambda s: change_transform(s, 3, marked=[[0.0, 1.0]]),
+    "horizon=30": lambda s: damage(s, horizon="30"),
+    "horizon=0": lambda s: damage(s, horizon=0),
+    "horizon=True": lambda s: damage(s, horizon=True),
+    "action_bound=[1.0]": lambda s: damage(s, action_bound=[1.0]),
+    "table_guard=nan": lambda s: damage(s, table_guard=float("nan")),
+    "hand_boxes=[]": lambda s: damage(s, hand_boxes=[]),
+    "joints=[[1.0]]": lambda s: damage(s, arm=s["arm"] | {"joints": [[1.0]]}),
+    "KeyError('lowest')": lambda s: damage(s, arm=leave_out(s["arm"], "lowest")),
+    "no transform makes the input wrist_angle": lambda s: damage(s, transforms=s["transforms"][:-1]),
+    "no output is the action": lambda s: damage(s, outputs=["goal_prediction"]),
+}
+
+
+@pytest.mark.parametrize("told", NO_NUMBERS)
+def test_damage_is_told_when_the_policy_is_built(folder, tmp_path, told):
+    (tmp_path / "policy.onnx").symlink_to(folder / "policy.onnx")
+    settings = json.loads((folder / "policy.json").read_text())
+    (tmp_path / "policy.json").write_text(NO_NUMBERS[told](settings))
+    with pytest.raises(PolicyError, match=f"is damaged .*{re.escape(told)}") as error:
+        GraspPolicy(tmp_path / "policy.json", T_ee_camera=np.eye(4))
+    assert "\n" not in str(error.value)
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -247,6 +247,25 @@ TRANSFORMS: dict[str, Any] = {
     "WristAngle": _WristAngle,
 }
 
+# What the settings tell each of them, and the input of the network that it makes.
+_OPTIONS: dict[str, tuple[str, ...]] = {
+    "AggregatePoints": ("alpha", "max_points", "carve", "seed"),
+    "SamplePoints": ("num_points", "seed"),
+    "AppendGripperPoints": ("marked",),
+}
+_MAKES = {"DepthToPoints": "points", "TablePlane": "table_plane", "WristAngle": "wrist_angle"}
+# Settings that are whole numbers, and the least of each; shapes of those that are no single number.
+_LEAST = {"horizon": 1, "width": 1, "height": 1, "max_points": 1, "num_points": 1, "seed": 0}
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "action_bound": (6,),
+    "hand_boxes": (-1, 4),
+    "marked": (-1, 4),
+    "joints": (7, 4, 4),
+    "hand": (4, 4),
+    "lowest": (7,),
+    "highest": (7,),
+}
+
 
 class GraspPolicy:
     """A trained policy for one camera and arm.
@@ -281,7 +300,9 @@ class GraspPolicy:
         self.horizon: int = self.settings["horizon"]
         try:
             self.camera = Camera(**(self.settings["camera"] if camera is None else camera))
-        except TypeError as error:
+        except PolicyError:
+            raise
+        except (TypeError, ValueError) as error:
             raise PolicyError(f"camera={camera}: give width, height and fx ({error}).") from error
         finest = max(1, int(min(self.camera.focal) / (2 * self.settings["camera"]["fx"])))
         self._thin = finest if thin is None else thin
@@ -295,7 +316,8 @@ class GraspPolicy:
             TRANSFORMS[each["name"]](lens, **{**each, "table_height": self._table_height})
             for each in self.settings["transforms"]
         ]
-        self._session = _open_network(file.parent / self.settings["network"], self.settings["inputs"])
+        names = self.settings["inputs"], self.settings["outputs"]
+        self._session = _open_network(file.parent / self.settings["network"], *names)
         self._episode = -1
         self.reset()
 
@@ -536,9 +558,12 @@ def _read_settings(file: Path) -> dict[str, Any]:
         names = ("horizon", "camera", "network", "inputs", "outputs", "action_bound", "arm", "hand_boxes")
         if missing := [name for name in (*names, "table_guard") if name not in settings]:
             raise PolicyError(f"{file} does not tell {missing[0]}: {again}.")
+        _check_settings(settings)
+    except PolicyError:
+        raise
     except OSError as error:
         raise PolicyError(f"{file} cannot be read ({error.strerror}): {again}.") from error
-    except (KeyError, TypeError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise PolicyError(f"{file} is damaged ({error!r}): {again}.") from error
     name = settings["network"]
     if not isinstance(name, str) or Path(name).name != name:
@@ -546,7 +571,37 @@ def _read_settings(file: Path) -> dict[str, Any]:
     return settings
 
 
-def _open_network(file: Path, inputs: list[str]) -> Any:
+def _check_settings(settings: dict[str, Any]) -> None:
+    """Raise KeyError, TypeError or ValueError where a number or name is missing, or is none."""
+    _check_numbers(settings, ("horizon", "action_bound", "table_guard", "hand_boxes"))
+    _check_numbers(settings["camera"], ("width", "height", "fx", "fy", "cx", "cy", "near", "far"))
+    _check_numbers(settings["arm"], ("joints", "hand", "lowest", "highest"))
+    for each in settings["transforms"]:
+        _check_numbers(each, _OPTIONS.get(each["name"], ()))
+    made = {_MAKES.get(each["name"]) for each in settings["transforms"]}
+    if strange := [name for name in settings["inputs"] if name not in made | {"time_left"}]:
+        raise ValueError(f"no transform makes the input {strange[0]}")
+    if "action" not in settings["outputs"]:
+        raise ValueError("no output is the action")
+
+
+def _check_numbers(told: dict[str, Any], names: tuple[str, ...]) -> None:
+    for name in names:
+        value = told[name]
+        if name in _LEAST:
+            fits = type(value) is int and value >= _LEAST[name]
+        elif name == "carve" and value is None:
+            fits = True
+        else:
+            numbers, shape = np.asarray(value), _SHAPES.get(name, ())
+            fits = numbers.dtype.kind in "if" and numbers.ndim == len(shape)
+            fits = fits and all(b in (a, -1) for a, b in zip(numbers.shape, shape, strict=True))
+            fits = fits and bool(np.isfinite(numbers).all())
+        if not fits:
+            raise ValueError(f"{name}={str(value)[:60]}")
+
+
+def _open_network(file: Path, inputs: list[str], outputs: list[str]) -> Any:
     try:
         import onnxruntime
     except ImportError as error:
@@ -562,6 +617,9 @@ def _open_network(file: Path, inputs: list[str]) -> Any:
     there = [each.name for each in session.get_inputs()]
     if sorted(there) != sorted(inputs):
         raise PolicyError(f"{file} reads {there}, not {inputs}: it is of another policy.")
+    said = [each.name for each in session.get_outputs()]
+    if said != outputs:
+        raise PolicyError(f"{file} says {said}, not {outputs}: it is of another policy.")
     return session
 
 
