@@ -18,7 +18,7 @@ from torchgrasp.config.trained_view import check_action_space, make_view, traini
 from torchgrasp.deploy.arguments import each_arm, read_ages, read_arms, read_poses, read_rows
 from torchgrasp.deploy.arm_episode import ArmEpisode
 from torchgrasp.deploy.command import GraspCommand
-from torchgrasp.deploy.sight import FRAMES, Frame, Sight, into_hand, read_cloud, read_picture
+from torchgrasp.deploy.sight import FRAMES, Frame, Sight, choose_thin, into_hand, read_cloud, read_picture
 from torchgrasp.errors import ConfigError, PictureError, check_range, check_whole
 from torchgrasp.geometry import ACTION_BOUND, ACTION_SIZE, action_to_pose, goal_to_pose, pose_to_action
 from torchgrasp.intrinsics import CameraIntrinsics
@@ -117,7 +117,7 @@ class GraspAgent:
         self._static_camera = None if T_base_camera is None else read_poses("T_base_camera", T_base_camera)
         self.intrinsics, self._thin = intrinsics, 1
         if intrinsics is not None:
-            self._thin = _choose_thin(intrinsics, training_lens(trained)) if thin is None else thin
+            self._thin = choose_thin(intrinsics, training_lens(trained)) if thin is None else thin
             check_whole("thin", self._thin, 1, min(intrinsics.width, intrinsics.height))
         seen = None if intrinsics is None else intrinsics.thin_out(self._thin)
         self._arms = [
@@ -284,16 +284,10 @@ def _on_device(policy: TrainedPolicy, device: torch.device) -> TrainedPolicy:
     return policy if there else deepcopy(policy).to(device)
 
 
-def _choose_thin(intrinsics: CameraIntrinsics, training: CameraIntrinsics) -> int:
-    """For pixels at least twice as fine as those of training."""
-    return max(1, int(float(intrinsics.focal.min()) / (2 * float(training.focal.min()))))
-
-
 def _step_towards(T_base_target: np.ndarray | None, T_base_ee: np.ndarray) -> np.ndarray:
     """(6,) action that goes to a hand pose as far as one step goes."""
     assert T_base_target is not None
-    back = torch.from_numpy(np.linalg.solve(T_base_ee, T_base_target))
-    return _bounded(pose_to_action(back).numpy())
+    return _bounded(pose_to_action(torch.from_numpy(np.linalg.solve(T_base_ee, T_base_target))).numpy())
 
 
 def _bounded(action: np.ndarray) -> np.ndarray:

@@ -41,6 +41,11 @@ class Sight:
         return seen is not None and bool(seen.any() if seen is self.mask else len(seen))
 
 
+def choose_thin(intrinsics: CameraIntrinsics, training: CameraIntrinsics) -> int:
+    """Every so many rows and columns are kept, of pixels at least twice as fine as those of training."""
+    return max(1, int(float(intrinsics.focal.min()) / (2 * float(training.focal.min()))))
+
+
 def read_picture(
     depth: Any, mask: Any, intrinsics: CameraIntrinsics, *, thin: int, holes_are_empty: bool
 ) -> Sight:
