@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import socket
 import sys
+import threading
+import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from types import ModuleType
@@ -14,6 +16,7 @@ from torchgrasp.rollouts import machines
 from torchgrasp.rollouts.episode_pool import MakeEnv
 
 _ANSWER_SECONDS = 120.0  # for a machine to import torch and list its objects
+_LOOK_SECONDS = 2.0  # between two looks whether its answer is still wanted
 _KNOCK_SECONDS = 3.0
 
 
@@ -31,6 +34,11 @@ class MachineCheck:
         self._versions, self._envs = machines.look([]), ray.cloudpickle.dumps(dict(envs))
         self._ingredients: dict[str, dict[str, str]] | str | None = None
         self._told: dict[str, str | None] = {}
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """Wait for no machine any more: one that is asked counts as one that does not answer."""
+        self._stopped.set()
 
     def check_all(self) -> None:
         """Raise ConfigError that names each machine that would not give this one's episodes, and why."""
@@ -80,7 +88,14 @@ class MachineCheck:
         strategies = self._ray.util.scheduling_strategies
         there = strategies.NodeAffinitySchedulingStrategy(node_id, soft=False)
         remote = self._ray.remote(num_cpus=0, max_retries=0, scheduling_strategy=there)(function)
-        return self._ray.get(remote.remote(*args), timeout=_ANSWER_SECONDS)
+        told, until = remote.remote(*args), time.monotonic() + _ANSWER_SECONDS
+        while True:
+            try:
+                return self._ray.get(told, timeout=_LOOK_SECONDS)
+            except self._ray.exceptions.GetTimeoutError:
+                if self._stopped.is_set() or time.monotonic() > until:
+                    self._ray.cancel(told, force=True)
+                    raise
 
 
 def name_machine(node: Mapping[str, Any]) -> str:

@@ -109,6 +109,8 @@ class RayPool(WorkerPool):
 
     def close(self) -> None:
         """End the actors, and Ray where this pool began it."""
+        if self._machines is not None:
+            self._machines.stop()
         super().close()
         if self._machines is not None and self._answered:
             counts = ", ".join(f"{count} on {each}" for each, count in sorted(self.answered.items()))

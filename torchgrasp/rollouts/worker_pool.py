@@ -120,6 +120,7 @@ class WorkerPool(EpisodePool):
         self._settling: dict[int, threading.Thread] = {}
         self._worked = time.monotonic()  # when somebody last could
         self._closed = threading.Event()
+        self._begins = threading.Lock()  # held where a worker or its thread begins, and where the pool ends
 
     @abstractmethod
     def _start_worker(self, index: int) -> Worker:
@@ -137,6 +138,7 @@ class WorkerPool(EpisodePool):
         They are at most `AHEAD` numbers ahead of what is taken, so that answers do not pile up.
         """
         shared = self._publish(policy)
+        self._losses.clear()  # of a run before: there may be places now
         batches = self._hand_over(Task(env, shared, number, explore) for number in numbers)
         next(batches)  # begun: from here on, closing it drops its tasks
         return batches
@@ -165,8 +167,8 @@ class WorkerPool(EpisodePool):
             index, settling = self._idle.get(), False
             try:
                 worker = self._find_worker(index)
-                if settling := not worker.ready:
-                    self._begin_settling(index, worker)
+                if not worker.ready:
+                    settling = self._begin_settling(index, worker)
                     continue
                 started = time.perf_counter()
                 packed = worker.run(task)
@@ -186,17 +188,28 @@ class WorkerPool(EpisodePool):
             raise CancelledError
         if (loss := self._losses.pop(index, None)) is not None:
             raise WorkerError(f"{loss}, and no other worker has one: nobody runs episodes.")
-        if index not in self._workers:
-            self._workers[index] = self._start_worker(index)
-            if self._closed.is_set():  # too late for `close` to see it
-                self._workers[index].stop()
-        return self._workers[index]
+        return self._workers.get(index) or self._replace(index)
 
-    def _begin_settling(self, index: int, worker: Worker) -> None:
-        """Wait until a worker has a place, in a thread of its own: the others go on meanwhile."""
-        thread = threading.Thread(target=self._settle, args=(index, worker), daemon=True)
-        self._settling[index] = thread
-        thread.start()
+    def _replace(self, index: int) -> Worker:
+        """A new worker of that index, which `close` will see; raises CancelledError after it."""
+        with self._begins:
+            if self._closed.is_set():
+                raise CancelledError
+            worker = self._workers[index] = self._start_worker(index)
+        return worker
+
+    def _begin_settling(self, index: int, worker: Worker) -> bool:
+        """Wait until a worker has a place, in a thread of its own: the others go on meanwhile.
+
+        Raises CancelledError where the run is over, or a signal will end it.
+        """
+        with self._begins:
+            if self._closed.is_set() or is_interrupted():
+                raise CancelledError
+            thread = threading.Thread(target=self._settle, args=(index, worker), daemon=True)
+            thread.start()
+            self._settling[index] = thread
+        return True
 
     def _settle(self, index: int, worker: Worker) -> None:
         """Free a worker once it has a place, or another one where it was lost before."""
@@ -211,6 +224,7 @@ class WorkerPool(EpisodePool):
                 try:
                     worker.settle(is_hopeless)
                     self._worked = time.monotonic()
+                    self._losses.clear()
                 except WorkerLostError as loss:
                     worker.stop()
                     if self._closed.is_set() or is_interrupted():
@@ -222,8 +236,11 @@ class WorkerPool(EpisodePool):
                     if str(loss) != told:
                         warnings.warn(f"{loss}: it is tried again while others go on.", stacklevel=1)
                     told = str(loss)
-                    self._closed.wait(_RETRY_SECONDS)
-                    self._workers[index] = worker = self._start_worker(index)
+                    if self._closed.wait(_RETRY_SECONDS):
+                        return
+                    worker = self._replace(index)
+        except CancelledError:
+            return
         finally:
             self._idle.put(index)
 
@@ -248,7 +265,8 @@ class WorkerPool(EpisodePool):
 
     def close(self) -> None:
         """End the workers, whatever they are at."""
-        self._closed.set()
+        with self._begins:
+            self._closed.set()
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in list(self._workers.values()):
             worker.stop()
