@@ -23,7 +23,8 @@ class ArmDrives:
     beyond a limit. A wrist of 0.01 kg m2 with 12 Nm would then overshoot at every step and tremble, and
     an arm that reverses would be far weaker than its limits. So the model's actuators have no limits, and
     it is the force at the step's end that counts, as in PhysX: a drive that would have more there is a
-    constant force for this step. What the speed will be follows from the arm's mass matrix and the forces
+    constant force for this step. (One that comes to more within a step that begins below its limit keeps
+    that, some hundredths of it.) What the speed will be follows from the arm's mass matrix and the forces
     on it, those of contacts taken from the step before. Nor does a drive ask for more speed than its
     joint may have: MuJoCo knows no limit of speeds.
 

@@ -17,7 +17,7 @@ from torchgrasp.sim.mujoco.target_spec import Distribution, add_target, distribu
 from torchgrasp.sim.physics import Physics
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 
-_MOST_KEPT = 1024  # models, of some 40 kB each
+_MOST_KEPT = 1024  # models, of 30 to 120 kB each
 
 
 @dataclass(frozen=True)
