@@ -181,7 +181,7 @@ def test_a_machine_is_refused_by_name_before_anything_runs(composed, tmp_path):
     ray.init("local", num_cpus=1, include_dashboard=False, runtime_env=workers, logging_level="warning")
     try:
         cfg = composed("experiment=smoke", "collector=ray", "collector.num_workers=1")
-        told = r"collector: Machines of the Ray cluster .* \(.*\) has torch 0.0.1 in place of .*: install the"
+        told = r"^Machines of the Ray cluster .* \(.*\) has torch 0.0.1 in place of .*: install the"
         with pytest.raises(ConfigError, match=told):
             make_pool(cfg)
     finally:
