@@ -1,0 +1,37 @@
+"""The moving picture of the closed loop: python docs/pictures/rehearsal.py one.mp4 [file].
+
+The film is that of the benchmark suite=franka with franka.film (docs/deploy.md); needs the extra viz.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+try:
+    import imageio_ffmpeg
+    from PIL import Image
+except ImportError as error:
+    raise SystemExit('error: pictures need the extra viz: pip install "torchgrasp[viz]"') from error
+
+_EVERY, _WIDTH = 3, 560  # frame of the film that is kept; pixels
+
+
+def main(film: Path, path: Path) -> None:
+    """Write every third frame of a film, smaller, as an animation at the film's pace."""
+    reader = imageio_ffmpeg.read_frames(str(film))
+    told = next(reader)
+    size = told["size"]
+    small = (_WIDTH, round(size[1] * _WIDTH / size[0]))
+    frames = [Image.frombytes("RGB", size, data).resize(small) for data in list(reader)[::_EVERY]]
+    milliseconds = round(1e3 * _EVERY / told["fps"])
+    frames[0].save(
+        path, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, quality=50, method=6
+    )
+    print(f"{path}: {len(frames)} frames, {path.stat().st_size / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        raise SystemExit(__doc__)
+    main(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).with_suffix(".webp"))
