@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, JsonValue
 
 from torchgrasp.data.demonstration_card import Card
 from torchgrasp.data.lerobot.features import COUNTERS, Column
-from torchgrasp.data.lerobot.tables import from_arrow, opened, read_batches
+from torchgrasp.data.lerobot.tables import from_arrow, from_shared, opened, read_batches
 from torchgrasp.documents import Amount, Count, Document, Name, OpenDocument, check_document, read_document
 from torchgrasp.errors import CheckpointError, ConfigError
 
@@ -32,7 +33,10 @@ LAST = "meta/torchgrasp_last.parquet"
 # pandas keeps the texts of tasks as its index, by this name where it has none.
 TASK_COLUMNS = ("task", "__index_level_0__")
 _EXPORT = "meta/torchgrasp.json"
-_MAX_TEXT = 1 << 12
+_MAX_TEXT = 1 << 12  # bytes of a task
+_MOST_TEXT = 1 << 26  # of all tasks
+# Episodes, and tasks, that are read of a dataset.
+_MOST_EPISODES = 1 << 18
 
 
 class FeatureInfo(OpenDocument):
@@ -103,9 +107,13 @@ def read_dataset(folder: Path) -> DatasetFiles:
         )
     if not info.total_episodes or not info.total_frames:
         raise ConfigError(f"{folder} holds no episode: there is nothing to import.")
+    if info.total_episodes > _MOST_EPISODES:
+        raise ConfigError(
+            f"{folder} tells of {info.total_episodes} episodes, at most {_MOST_EPISODES} are read: split it."
+        )
     export = _read_export(folder, info)
     lengths, seeds = _read_episodes(folder, info, seeded=export is not None)
-    return DatasetFiles(folder, info, export, _read_tasks(folder), lengths, seeds)
+    return DatasetFiles(folder, info, export, _read_tasks(folder, info), lengths, seeds)
 
 
 def _read_export(folder: Path, info: Info) -> Export | None:
@@ -136,41 +144,56 @@ def write_export(folder: Path, frames: int, card: dict[str, Any], columns: dict[
 
 def _read_episodes(folder: Path, info: Info, *, seeded: bool) -> tuple[list[int], list[int]]:
     """Length and seed of each episode."""
-    files = sorted(folder.glob("meta/episodes/*/*.parquet"))
-    names = ["episode_index", "length", *(["seed"] if seeded else [])]
+    where, names = folder / "meta" / "episodes", ["episode_index", "length", *(["seed"] if seeded else [])]
     table: dict[str, list[int]] = {name: [] for name in names}
-    for file in files:
+    for file in sorted(where.glob("*/*.parquet")):
         for batch in read_batches(file, dict.fromkeys(names, 8), REMEDY):
-            for name, array in batch.items():
-                table[name] += from_arrow(array, f"{file}: {name!r}", (1,))[:, 0].tolist()
-            if len(table["length"]) > info.total_episodes:
-                break
-    numbers, lengths = table["episode_index"], table["length"]
-    if numbers != list(range(info.total_episodes)):
+            found = {
+                name: from_arrow(array, f"{file}: {name!r}", (1,))[:, 0] for name, array in batch.items()
+            }
+            numbers, count = found["episode_index"], len(table["length"])
+            expected = np.arange(count, count + len(numbers))
+            if count + len(numbers) > info.total_episodes or (numbers != expected).any():
+                raise CheckpointError(
+                    f"{where} tells of more episodes than the {info.total_episodes} of meta/info.json, or in "
+                    f"another order: {REMEDY}."
+                )
+            for name, values in found.items():
+                table[name] += values.tolist()
+    lengths = table["length"]
+    if len(lengths) != info.total_episodes:
         raise CheckpointError(
-            f"{folder / 'meta' / 'episodes'} tells of {len(numbers)} episodes or in another order, "
-            f"meta/info.json of {info.total_episodes}: {REMEDY}."
+            f"{where} tells of {len(lengths)} episodes, meta/info.json of {info.total_episodes}: {REMEDY}."
         )
     if min(lengths) < 1 or sum(lengths) != info.total_frames:
         raise CheckpointError(
-            f"{folder / 'meta' / 'episodes'} tells of {sum(lengths)} frames, meta/info.json of "
-            f"{info.total_frames}: {REMEDY}."
+            f"{where} tells of {sum(lengths)} frames, meta/info.json of {info.total_frames}: {REMEDY}."
         )
     return lengths, table.get("seed", [0] * len(lengths))
 
 
-def _read_tasks(folder: Path) -> dict[int, str]:
+def _read_tasks(folder: Path, info: Info) -> dict[int, str]:
     """The text of each task, by its number."""
     file = folder / "meta" / "tasks.parquet"
     with opened(file, REMEDY) as parquet:
         present = set(parquet.schema_arrow.names)
-    text = next((name for name in TASK_COLUMNS if name in present), None)
-    if text is None:
+    column = next((name for name in TASK_COLUMNS if name in present), None)
+    if column is None:
         raise CheckpointError(f"{file} has no column {TASK_COLUMNS[0]!r}: {REMEDY}.")
     tasks: dict[int, str] = {}
-    for batch in read_batches(file, {text: _MAX_TEXT, "task_index": 8}, REMEDY):
+    entries, count, size = {column: _MAX_TEXT, "task_index": 8}, 0, 0
+    for batch in read_batches(file, entries, REMEDY, shared=[column], most=_MOST_TEXT):
         numbers = from_arrow(batch["task_index"], f"{file}: 'task_index'", (1,))[:, 0].tolist()
-        tasks |= dict(zip(numbers, map(str, batch[text].to_pylist()), strict=True))
+        texts = from_shared(batch[column], f"{file}: {column!r}", _MAX_TEXT)
+        count, size = count + len(numbers), size + sum(map(len, {text for text in texts if text}))
+        if count > min(info.total_frames, _MOST_EPISODES) or size > _MOST_TEXT:
+            raise CheckpointError(
+                f"{file} tells of more tasks than the dataset has frames, than {_MOST_EPISODES}, or than "
+                f"{_MOST_TEXT} bytes of them: {REMEDY}."
+            )
+        # What is the same is one text here, too.
+        decoded = {text: (text or b"").decode(errors="replace") for text in set(texts)}
+        tasks |= {number: decoded[text] or "unknown" for number, text in zip(numbers, texts, strict=True)}
     return tasks
 
 

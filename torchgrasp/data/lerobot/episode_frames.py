@@ -19,7 +19,7 @@ from torchgrasp.data.foreign_columns import check_end
 from torchgrasp.data.lerobot.dataset_files import REMEDY
 from torchgrasp.data.lerobot.features import Feature
 from torchgrasp.data.lerobot.pictures import decode_pictures
-from torchgrasp.data.lerobot.tables import from_arrow, read_batches
+from torchgrasp.data.lerobot.tables import PICTURE_HEADER, from_arrow, from_shared, read_batches
 from torchgrasp.data.sampler import STUB
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.geometry import ACTION_SIZE
@@ -38,12 +38,14 @@ class Frames:
         task: number of its task.
         columns: of each feature; pictures are files yet.
         counts: frame_index of each frame.
+        held: bytes of the pictures' files.
     """
 
     number: int
     task: int
     columns: dict[str, list[Any]] = field(default_factory=dict)
     counts: list[Any] = field(default_factory=list)
+    held: int = 0
 
     def __len__(self) -> int:
         return sum(map(len, self.counts))
@@ -68,7 +70,7 @@ def read_frames(files: Sequence[Path], features: Sequence[Feature]) -> Iterator[
     pictures = [feature.name for feature in features if feature.picture is not None]
     current: Frames | None = None
     for file in files:
-        for batch in read_batches(file, entries, REMEDY, pictures=pictures):
+        for batch in read_batches(file, entries, REMEDY, shared=pictures):
             counted = {name: from_arrow(batch[name], f"{file}: {name!r}", (1,))[:, 0] for name in _COUNTED}
             numbers = counted["episode_index"]
             starts = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
@@ -87,24 +89,23 @@ def _add(
 ) -> None:
     """Put a part of a batch to the frames of its episode."""
     frames.counts.append(counts[part])
-    if len(frames) * sum(feature.bytes for feature in features) > _MOST_BYTES:
-        raise CheckpointError(f"Episode {frames.number} takes more than {_MOST_BYTES} bytes: {REMEDY}.")
+    _check_memory(frames, features)
     for feature in features:
         array = batch[feature.name].slice(part.start, part.stop - part.start)
+        told = f"Episode {frames.number}: {feature.name!r}"
         if feature.picture is not None:
-            values = _read_files(array, feature.name)
+            values = from_shared(array, told, 2 * feature.bytes + PICTURE_HEADER)
+            frames.held += sum(len(file) for file in values if file)
+            _check_memory(frames, features)
         else:
-            values = from_arrow(array, f"Episode {frames.number}: {feature.name!r}", feature.shape or (1,))
+            values = from_arrow(array, told, feature.shape or (1,))
         frames.columns.setdefault(feature.name, []).append(values)
 
 
-def _read_files(array: Any, name: str) -> list[bytes | None]:
-    import pyarrow as pa
-
-    kind = array.type
-    if not (pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_null(kind)):
-        raise ConfigError(f"{name!r} holds {kind}, no pictures as files: mend the dataset.")
-    return array.to_pylist()
+def _check_memory(frames: Frames, features: Sequence[Feature]) -> None:
+    """Refuse an episode whose pictures' files, and what they and numbers become, take too much."""
+    if len(frames) * sum(feature.bytes for feature in features) + frames.held > _MOST_BYTES:
+        raise CheckpointError(f"Episode {frames.number} takes more than {_MOST_BYTES} bytes: {REMEDY}.")
 
 
 def check_frames(frames: Frames, number: int, length: int, *, first: int = 0) -> None:
