@@ -161,6 +161,16 @@ def test_an_export_that_fails_leaves_nothing(demonstrations, tmp_path):
     assert {each.name for each in tmp_path.iterdir()} == {"demos"}
 
 
+def test_what_a_killed_export_or_import_left_is_deleted_by_the_next(demonstrations, tmp_path):
+    for name in (".grasps.new", ".back.new"):
+        (tmp_path / name / "meta").mkdir(parents=True)
+        (tmp_path / name / "meta" / "half.json").write_text("{")
+    export_lerobot(demonstrations, tmp_path / "grasps")
+    import_lerobot(tmp_path / "grasps", tmp_path / "back")
+    assert {each.name for each in tmp_path.iterdir()} == {"demos", "grasps", "back"}
+    assert not list(tmp_path.rglob("half.json"))
+
+
 def test_the_command_exports_and_imports(demonstrations, tmp_path, capsys):
     path, dataset, again = str(demonstrations.path), str(tmp_path / "grasps"), str(tmp_path / "again")
     assert main(["dataset", path, "--format", "lerobot", "--export", dataset]) == 0
