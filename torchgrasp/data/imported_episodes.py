@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +14,7 @@ from torchgrasp.data.shards import append_rows
 from torchgrasp.errors import ConfigError, printable
 
 _SHARD_EPISODES = 28
+_SHARD_BYTES = 1 << 28
 _MAX_NAME = 1000
 _T = TypeVar("_T")
 
@@ -53,7 +53,7 @@ def _append_all(path: Path, episodes: Iterable[ImportedEpisode], told: Card | No
     # What was run and not kept is told with the first shard, and so is the time that all took.
     dropped, seconds = (max(0, told.attempts - told.episodes), told.wall_seconds) if told else (0, 0.0)
     card: dict[str, Any] = {}
-    for index, some in enumerate(in_groups(episodes)):
+    for index, some in enumerate(in_groups(episodes, lambda episode: episode[0])):
         rows, objects, seeds = zip(*some, strict=True)
         card = append_rows(
             path,
@@ -67,10 +67,22 @@ def _append_all(path: Path, episodes: Iterable[ImportedEpisode], told: Card | No
     return card
 
 
-def in_groups(values: Iterable[_T]) -> Iterator[list[_T]]:
-    """Lists of as many episodes as are held in memory, and in a shard."""
-    iterator = iter(values)
-    while some := list(islice(iterator, _SHARD_EPISODES)):
+def in_groups(values: Iterable[_T], get_rows: Callable[[_T], TensorDictBase]) -> Iterator[list[_T]]:
+    """Lists of as many episodes as are held in memory, and in a shard; none is read ahead of its list.
+
+    Args:
+        values: episodes, read while they are given.
+        get_rows: an episode's rows, whose bytes count.
+    """
+    some: list[_T] = []
+    size = 0
+    for value in values:
+        some.append(value)
+        size += sum(column.nbytes for column in get_rows(value).values(True, True))
+        if len(some) == _SHARD_EPISODES or size >= _SHARD_BYTES:
+            yield some
+            some, size = [], 0
+    if some:
         yield some
 
 

@@ -58,6 +58,22 @@ def test_depth_of_others_is_metres_whatever_it_is_stored_in(tmp_path):
     assert torch.allclose(again[keys.DEPTH], rows[keys.DEPTH], atol=1e-7)
 
 
+def test_colours_and_a_second_camera_are_taken_where_the_codec_names_them(tmp_path):
+    columns, generator = draw_frames(), np.random.default_rng(0)
+    colours = generator.integers(0, 255, (TOTAL, 6, 8, 3)).astype(np.uint8)
+    for name in ("rgb", "overhead_rgb"):
+        columns[f"observation.images.{name}"] = [picture(each) for each in colours]
+    told = {name: {**PICTURE, "shape": [6, 8, 3]} for name in columns if "images" in name}
+    dataset = write_dataset(tmp_path / "other", columns, told)
+    import_lerobot(dataset, tmp_path / "clouds")
+    (rows,) = open_demonstrations(tmp_path / "clouds").shards
+    assert not {keys.RGB, keys.OVERHEAD_RGB} & set(rows.keys(True, True))
+    import_lerobot(dataset, tmp_path / "demos", codec=CompactTransitions(state_keys=(keys.RGB,)))
+    (rows,) = open_demonstrations(tmp_path / "demos").shards
+    assert torch.equal(rows[keys.RGB], torch.from_numpy(colours))
+    assert keys.OVERHEAD_RGB not in rows.keys(True, True)
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [

@@ -28,6 +28,8 @@ _PICTURES: dict[NestedKey, PictureKind] = {
     keys.OVERHEAD_MASK: "mask",
     keys.OVERHEAD_RGB: "rgb",
 }
+# Large, and of use to policies alone that were made to read them.
+_ASKED = {keys.RGB, keys.OVERHEAD_DEPTH, keys.OVERHEAD_MASK, keys.OVERHEAD_RGB}
 _PICTURE_TYPES = {"depth": torch.float32, "mask": torch.bool, "rgb": torch.uint8}
 # Shapes that the keys tell; others may have any.
 _SHAPES: dict[NestedKey, tuple[int, ...]] = {
@@ -76,7 +78,7 @@ def choose_features(info: Info, codec: CompactTransitions) -> Taken:
     taken = Taken({}, {}, {})
     for key, name in wanted.items():
         told = info.features.get(name)
-        if told is None or name in (_REWARD, _DONE):
+        if told is None or name in (_REWARD, _DONE) or key in _ASKED - needed:
             continue
         feature = _take(key, name, told, codec, needed=key in needed)
         if feature is not None:

@@ -93,7 +93,7 @@ def export_minari(
             data_format="hdf5",
             jpeg_encoding=False,  # pictures come back as they were
         )
-        for some in in_groups(demonstrations.iterate_episode_rows()):
+        for some in in_groups(demonstrations.iterate_episode_rows(), lambda episode: episode[1]):
             storage.update_episodes(
                 [
                     minari.data_collector.EpisodeBuffer(
