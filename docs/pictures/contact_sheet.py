@@ -1,4 +1,4 @@
-"""Contact sheets: captioned pictures side by side in one file."""
+"""Contact sheets, captioned pictures side by side in one file, and animations."""
 
 from __future__ import annotations
 
@@ -25,6 +25,14 @@ def sheet(path: Path, tiles: Sequence[Tile], columns: int) -> None:
     rows = [np.hstack(drawn[i : i + columns]) for i in range(0, len(drawn), columns)]
     Image.fromarray(np.vstack(rows)).save(path, quality=82, optimize=True)
     print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def animate(path: Path, frames: Sequence[Image.Image], milliseconds: int | list[int]) -> None:
+    """Write pictures of one size as a WebP that begins again at its end, each shown for so long."""
+    frames[0].save(
+        path, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, quality=55, method=6
+    )
+    print(f"{path}: {len(frames)} frames, {path.stat().st_size / 1e3:.0f} kB")
 
 
 def coloured(depth: np.ndarray) -> np.ndarray:

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from contact_sheet import animate
+from PIL import Image
 
 import torchgrasp
 from torchgrasp import keys
@@ -20,11 +22,6 @@ from torchgrasp.report.drawing import enlarge, shade_depth
 from torchgrasp.report.film import REAL_TIME, EndingRecorder, Moment
 from torchgrasp.sim import CameraIntrinsics, RenderCamera, View, look_at
 from torchgrasp.sim.kinematics import forward_kinematics
-
-try:
-    from PIL import Image
-except ImportError as error:
-    raise SystemExit('error: pictures need the extra viz: pip install "torchgrasp[viz]"') from error
 
 _NAMES = ("035_power_drill", "011_banana", "048_hammer", "051_large_clamp", "065-g_cups", "056_tennis_ball")
 _COLUMNS, _SIZE, _INSET = 3, 240, 72
@@ -72,10 +69,7 @@ def main(path: Path) -> None:
     policy, found = torchgrasp.load_policy("pretrained"), {each.name: each for each in YcbObjects("others")}
     frames = _tile([film(found[name], policy, seed) for seed, name in enumerate(_NAMES)])
     milliseconds = [round(1e3 / REAL_TIME)] * (len(frames) - 1) + [round(1e3 * _HOLD / REAL_TIME)]
-    frames[0].save(
-        path, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, quality=55, method=6
-    )
-    print(f"{path}: {len(frames)} frames, {path.stat().st_size / 1e3:.0f} kB")
+    animate(path, frames, milliseconds)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-try:
-    import imageio_ffmpeg
-    from PIL import Image
-except ImportError as error:
-    raise SystemExit('error: pictures need the extra viz: pip install "torchgrasp[viz]"') from error
+import imageio_ffmpeg
+from contact_sheet import animate
+from PIL import Image
 
 _EVERY, _WIDTH = 3, 560  # frame of the film that is kept; pixels
 
@@ -24,11 +22,7 @@ def main(film: Path, path: Path) -> None:
     size = told["size"]
     small = (_WIDTH, round(size[1] * _WIDTH / size[0]))
     frames = [Image.frombytes("RGB", size, data).resize(small) for data in list(reader)[::_EVERY]]
-    milliseconds = round(1e3 * _EVERY / told["fps"])
-    frames[0].save(
-        path, save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, quality=50, method=6
-    )
-    print(f"{path}: {len(frames)} frames, {path.stat().st_size / 1e3:.0f} kB")
+    animate(path, frames, round(1e3 * _EVERY / told["fps"]))
 
 
 if __name__ == "__main__":

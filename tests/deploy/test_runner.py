@@ -210,11 +210,15 @@ DAMAGED = {
 }
 
 
+def copy_with(folder, to, change):
+    """An exported policy whose settings were changed, in another folder."""
+    (to / "policy.onnx").symlink_to(folder / "policy.onnx")
+    (to / "policy.json").write_text(change(json.loads((folder / "policy.json").read_text())))
+
+
 @pytest.mark.parametrize("told", DAMAGED)
 def test_a_damaged_file_is_named(folder, tmp_path, told):
-    (tmp_path / "policy.onnx").symlink_to(folder / "policy.onnx")
-    settings = json.loads((folder / "policy.json").read_text())
-    (tmp_path / "policy.json").write_text(DAMAGED[told](settings))
+    copy_with(folder, tmp_path, DAMAGED[told])
     with pytest.raises(PolicyError, match=told.strip()):
         GraspPolicy(tmp_path / "policy.json")
 
@@ -252,9 +256,7 @@ NO_NUMBERS = {
 
 @pytest.mark.parametrize("told", NO_NUMBERS)
 def test_damage_is_told_when_the_policy_is_built(folder, tmp_path, told):
-    (tmp_path / "policy.onnx").symlink_to(folder / "policy.onnx")
-    settings = json.loads((folder / "policy.json").read_text())
-    (tmp_path / "policy.json").write_text(NO_NUMBERS[told](settings))
+    copy_with(folder, tmp_path, NO_NUMBERS[told])
     with pytest.raises(PolicyError, match=f"is damaged .*{re.escape(told)}") as error:
         GraspPolicy(tmp_path / "policy.json", T_ee_camera=np.eye(4))
     assert "\n" not in str(error.value)
