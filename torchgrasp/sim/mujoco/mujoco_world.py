@@ -117,10 +117,12 @@ class MujocoWorld(World):
         # MuJoCo would print a warning, and write it to a file of the folder in which this runs.
         before = mujoco.get_mju_user_warning()
         mujoco.set_mju_user_warning(_ignore)
-        for _ in range(self._substeps):
-            self._drives.prepare(self._model, data)
-            mujoco.mj_step(self._model, data)
-        mujoco.set_mju_user_warning(before)
+        try:
+            for _ in range(self._substeps):
+                self._drives.prepare(self._model, data)
+                mujoco.mj_step(self._model, data)
+        finally:
+            mujoco.set_mju_user_warning(before)
         if any(data.warning[kind].number for kind in self._unstable):
             raise UnstableError(
                 f"MuJoCo became unstable with {self.placement.target.name}: raise the engine's `substeps`, "
