@@ -40,8 +40,8 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.format is not None and args.source is None and args.export is None:
         raise ConfigError(f"--format={args.format} goes with --export or --import: give one of them.")
-    write, read = _find_exchange(args.format or _FORMATS[0])
     if args.source is not None:
+        _, read = _find_exchange(args.format)
         read(args.source, args.folder, kind=args.kind)
     if args.drop_damaged:
         names = drop_damaged_shards(args.folder)
@@ -51,12 +51,13 @@ def run(args: argparse.Namespace) -> int:
     demonstrations = open_demonstrations(args.folder)
     print_card(demonstrations.card)
     if args.export is not None:
+        write, _ = _find_exchange(args.format)
         print(f"Written to {write(demonstrations, args.export)}")
     return 0
 
 
-def _find_exchange(name: str) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """What writes and what reads datasets of a format."""
+def _find_exchange(name: str | None) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """What writes and what reads datasets of a format, Minari's if None."""
     if name == "lerobot":
         from torchgrasp.data.lerobot.exchange import export_lerobot, import_lerobot
 

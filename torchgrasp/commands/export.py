@@ -33,8 +33,7 @@ def run(args: argparse.Namespace) -> int:
     ending = "pt2" if kind == "torch_export" else "onnx"
     trust = [each for each in options.get("trust", "").split(",") if each]
     source = options.get("policy", "pretrained")
-    if source != "pretrained":
-        check_weights("policy", source)
+    check_weights("policy", source)
     policy = load_policy(source, trust=trust)
     for file in export_policy(policy, format=kind, output=options.get("output", f"policy.{ending}")):
         print(f"Written to {file}")
