@@ -8,7 +8,7 @@ the paragraph.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from result_tables import (
@@ -16,6 +16,7 @@ from result_tables import (
     RESULTS,
     ROOT,
     Record,
+    Table,
     find_row,
     read_table,
     show,
@@ -62,11 +63,11 @@ def render_table(name: str, folder: Path = RESULTS) -> str:
         lines.append([f"**{cell}**" if cell and _is_bold(bold, name) else cell for name, cell in cells])
     text = [_line(line) for line in lines]
     text.insert(1, "|" + "---|" * len(columns))
+    shown = shown_records(table, folder)
+    told = [f"{table.definition.title}."]
     if table.definition.origin:
-        told = f"*{table.definition.title}. {tell_origin(shown_records(table, folder).values())}*"
-    else:
-        told = f"*{table.definition.title}.*"
-    text += ["", *_wrapped(told)]
+        told += [tell_origin(shown.values()), tell_notes(table, shown)]
+    text += ["", *_wrapped(f"*{' '.join(filter(None, told))}*")]
     return "\n".join(text)
 
 
@@ -82,6 +83,39 @@ def tell_origin(records: Iterable[Record]) -> str:
         f"{verb} {commit} (version {version}){_tell_seeds(seeds[verb, commit, version, machine])}; {machine}."
         for verb, commit, version, machine in seeds
     )
+
+
+def tell_notes(table: Table, records: Mapping[str, Record]) -> str:
+    """What the notes of records say, in a sentence each; of which records, where it is not of all.
+
+    Args:
+        table: the table that shows the records.
+        records: by table/record, as `shown_records` gives them.
+    """
+    places: dict[str, list[str]] = {}
+    for place, record in records.items():
+        for part in filter(None, record.note.split("; ")):
+            places.setdefault(part, []).append(place)
+    parts: dict[tuple[str, ...], list[str]] = {}
+    for part, those in places.items():
+        parts.setdefault(tuple(those), []).append(part)
+    return " ".join(
+        f"{_tell_places(table, those, records)}{'; '.join(told)}."
+        if len(those) < len(records)
+        else f"{told[0][0].upper()}{'; '.join(told)[1:]}."
+        for those, told in parts.items()
+    )
+
+
+def _tell_places(table: Table, places: Sequence[str], records: Mapping[str, Record]) -> str:
+    """Records by name, those of other tables by table where all that are shown of one are among them."""
+    names = []
+    for place in places:
+        other, _, name = place.partition("/")
+        shown = [each for each in records if each.startswith(f"{other}/")]
+        whole = other if set(shown) <= set(places) else place
+        names.append(name if other == table.name else whole)
+    return f"{', '.join(f'`{name}`' for name in dict.fromkeys(names))}: "
 
 
 def _tell_seeds(seeds: list[int]) -> str:

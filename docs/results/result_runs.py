@@ -59,12 +59,17 @@ def run_table(
         print(f"{name}/{each}: {record.command}", flush=True)
         new = run_record(record, table.definition, commit)
         _write(table, each, new, folder)
+        if new.note:
+            print(f"{name}/{each} keeps its note, see whether it still holds: {new.note}")
         done.append(each)
     return done
 
 
 def run_record(record: Record, definition: Definition, commit: str) -> Record:
-    """Run a record's command and read what it gave; what tells rows apart is kept from the record."""
+    """Run a record's command and read what it gave.
+
+    What tells rows apart, the note and the other commands are kept from the record.
+    """
     with tempfile.TemporaryDirectory(prefix="results-") as scratch:
         command = [*_python_command(record.command), f"output_dir={scratch}"]
         code = subprocess.run(command, cwd=ROOT, env=_environment()).returncode
@@ -87,6 +92,8 @@ def run_record(record: Record, definition: Definition, commit: str) -> Record:
         machine=tell_machine(told["hardware"]),
         versions=told["versions"],
         recorded="run",
+        needs=record.needs,
+        note=record.note,
         rows=rows,
     )
 

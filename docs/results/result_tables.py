@@ -38,7 +38,10 @@ class Record(Document):
         machine: in words.
         versions: of torchgrasp, and of what else is known.
         recorded: "run" where a run's own file was read, "page" where the figures come from a page's text.
-        note: what else must be known to read the figures.
+        needs: other commands that the figures took: those that made what `<run>` and `<folder>` stand for,
+            or what is compared with.
+        note: what else must be known to read the figures, in parts that `; ` divides: the line below a
+            table shows them.
         rows: the values.
     """
 
@@ -49,6 +52,7 @@ class Record(Document):
     machine: _Words
     versions: Annotated[dict[Name, Name], Field(min_length=1)]
     recorded: Literal["run", "page"]
+    needs: list[_Words] = Field([])
     note: Name = ""
     rows: Annotated[list[Plain], Field(min_length=1)]
 
@@ -198,6 +202,8 @@ class _Cell(string.Formatter):
         """Format by Python's rules and by those of `show`."""
         if format_spec.startswith("pct"):
             return f"{100 * value:.{format_spec[3:] or 1}f} %"
+        if format_spec == "minutes":
+            return f"{value / 60:,.0f}"
         if format_spec.startswith("ms"):
             return f"{1e3 * value:,.{format_spec[2:] or 0}f}"
         if format_spec == "rate":
@@ -220,7 +226,7 @@ def show(template: str, row: Mapping[str, Any]) -> str:
     Fields are dotted names, formatted as in Python (`{milliseconds:,.0f}`) or by these words: `pct` (0.955 is
     95.5 %, `pct0` without decimals), `rate` (the same without the sign), `rates` and `mean` (of a list), `ci`
     (an interval of rates as [93.0, 97.1]), `to` (as 93.0 to 97.1), `success` (rate and interval of a
-    success table), `ms` (seconds in milliseconds, `ms1` with a decimal).
+    success table), `ms` (seconds in milliseconds, `ms1` with a decimal), `minutes` (seconds in minutes).
 
     >>> show("{now.success_rate:pct} {now.success_ci95:ci}, {x:.2f} m", {"x": 1, "now": {"success_rate": 0.5,
     ...     "success_ci95": [0.25, 0.75]}})

@@ -9,7 +9,7 @@ import sys
 
 import pytest
 from result_ages import find_old
-from result_pages import pages, render_page, shown_tables
+from result_pages import pages, render_page, render_table, shown_tables
 from result_runs import read_success, run_table
 from result_tables import (
     NOT_RECORDED,
@@ -92,6 +92,7 @@ def test_a_template_is_filled_by_hand_computed_words():
     assert show(told, row) == "25.0 %, 25 %, 10.0 to 50.0, 25.0 % [10.0, 50.0]"
     assert show("{seeds:rates} mean {seeds:mean}; {seeds.1:rate}", row) == "50.0, 25.0 mean 37.5; 25.0"
     assert show("{seconds:ms} {seconds:ms1} {n:,}", row) == "1,234 1,234.5 1,200"
+    assert show("{seconds:minutes}", {"seconds": 2160}) == "36"
     assert show("{nothing} %", row) == show("{now.seed}", row) == show("{seeds.7}", row) == ""
 
 
@@ -131,6 +132,18 @@ def test_a_page_gets_its_tables_and_figures(tmp_path):
     ):
         with pytest.raises(ConfigError, match=told):
             render_page(wrong, tmp_path)
+
+
+def test_notes_stand_below_a_table_with_the_records_that_they_are_of(tmp_path):
+    rows = [{"policy": "x", **SUCCESS}]
+    write(tmp_path, "one", {"records": ["a", "b"]}, a=rows, b=rows)
+    write(tmp_path, "two", {"records": ["c"], "rows": [{"*": "@two/c"}, {"*": "@one/a"}]}, c=rows)
+    for place, note in (("one/a", "old wrist; beside others; slow"), ("one/b", "old wrist"), ("two/c", "")):
+        path = tmp_path / f"{place}.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), "note": note}))
+    assert "two cores. Old wrist. `a`: beside others; slow.*" in render_table("one", tmp_path)
+    told = " ".join(render_table("two", tmp_path).split())
+    assert told.endswith("two cores. `one`: old wrist; beside others; slow.*")
 
 
 def test_folders_and_records_that_do_not_belong_there_are_refused(tmp_path):
@@ -201,6 +214,8 @@ def checkout(tmp_path):
         shutil.rmtree(table)
     rows = [{"policy": "random", "success_rate": 1.0}]
     write(tmp_path / "docs" / "results", "one", {"records": ["a", "b"], "reads": "summary"}, a=rows, b=rows)
+    path = tmp_path / "docs" / "results" / "one" / "a.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "note": "by chance", "needs": ["make"]}))
     (tmp_path / "README.md").write_text("<!-- table one -->\n<!-- end -->\n")
     git(tmp_path, "init", "-q")
     (tmp_path / ".gitignore").write_text("__pycache__/\n")
@@ -228,6 +243,8 @@ def test_a_table_is_run_again_and_goes_on_where_it_was(checkout):
     record = json.loads((checkout / "docs" / "results" / "one" / "a.json").read_text())
     assert record["commit"] == git(checkout, "rev-parse", "--short", "HEAD")
     assert record["recorded"] == "run" and record["versions"]["torchgrasp"] == torchgrasp.__version__
+    assert record["note"] == "by chance" and record["needs"] == ["make"]
+    assert "one/a keeps its note, see whether it still holds: by chance" in told
     assert record["rows"][0]["episodes"] == 2 and record["rows"][0]["policy"] == "random"
     git(checkout, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-a", "-m", "Results")
     code, told = command(checkout, "run", "one")  # another commit of the same code
