@@ -47,6 +47,7 @@ def main(arguments: list[str]) -> int:
     commands.add_parser("list", help="name the tables")
     old = commands.add_parser("old", help="tell rows of another version, or whose origin is not known")
     old.add_argument("tables", nargs="*", help="all, where none is named")
+    old.add_argument("--since", help="rows before this commit, or before the last change of this path, alone")
     run = commands.add_parser("run", help="run a table's commands again and write its records")
     run.add_argument("table")
     run.add_argument("--only", nargs="+", help="these records alone")
@@ -54,7 +55,7 @@ def main(arguments: list[str]) -> int:
     given = parser.parse_args(arguments)
     try:
         if given.command == "old":
-            tell_old(given.tables or table_names())
+            tell_old(given.tables or table_names(), given.since)
         elif given.command == "run":
             run_table(given.table, only=given.only, again=given.again)
             render()

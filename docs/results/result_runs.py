@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from result_history import has_same_code, run_git
 from result_tables import (
     NOT_RECORDED,
     RESULTS,
@@ -49,11 +50,11 @@ def run_table(
     table = read_table(name, folder)
     chosen = _choose(table, only)
     _check_committed()
-    commit = _git("rev-parse", "--short", "HEAD")
+    commit = run_git("rev-parse", "--short", "HEAD")
     done = []
     for each in chosen:
         record = table.records[each]
-        if not again and record.recorded == "run" and _same_code(record.commit):
+        if not again and record.recorded == "run" and has_same_code(record.commit, _CODE):
             print(f"{name}/{each}: of this version's code already")
             continue
         print(f"{name}/{each}: {record.command}", flush=True)
@@ -182,18 +183,5 @@ def _write(table: Table, name: str, record: Record, folder: Path) -> None:
 
 
 def _check_committed() -> None:
-    if changed := _git("status", "--porcelain", "--", *_CODE):
+    if changed := run_git("status", "--porcelain", "--", *_CODE):
         raise ConfigError(f"Results belong to a commit: commit these first, or undo them: {changed}")
-
-
-def _same_code(commit: str) -> bool:
-    """Whether the present code is that of a commit; not where the commit is unknown here."""
-    command = ["git", "diff", "--quiet", commit, "HEAD", "--", *_CODE]
-    return subprocess.run(command, cwd=ROOT, capture_output=True).returncode == 0
-
-
-def _git(*words: str) -> str:
-    done = subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True)
-    if done.returncode != 0:
-        raise ConfigError(f"git {words[0]} failed ({done.stderr.strip()}): results are run in a checkout.")
-    return done.stdout.strip()

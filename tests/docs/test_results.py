@@ -8,7 +8,8 @@ import subprocess
 import sys
 
 import pytest
-from result_ages import find_old
+from result_ages import find_behind, find_old
+from result_history import find_commit
 from result_pages import pages, render_page, render_table, shown_tables
 from result_runs import read_success, run_table
 from result_tables import (
@@ -164,6 +165,27 @@ def test_what_is_old_or_of_unknown_origin_is_told():
     assert find_old(Record(**unknown, rows=[{}])) == ["of 0123456 or before", "machine not recorded"]
 
 
+def test_records_before_a_commit_or_the_last_change_of_a_path_are_told(tmp_path):
+    git(tmp_path, "init", "-q")
+    commits = []
+    for name in ("sim.py", "docs.md", "sim.py", "other.py"):
+        (tmp_path / name).write_text(str(len(commits)))
+        commit_all(tmp_path)
+        commits.append(git(tmp_path, "rev-parse", "--short", "HEAD"))
+    assert find_commit("sim.py", tmp_path) == find_commit("HEAD~1", tmp_path) == commits[2]
+    records = [Record(**{**ORIGIN, "commit": commit}, rows=[{}]) for commit in commits]
+    told = [find_behind(record, commits[2], tmp_path) for record in records]
+    assert told == [[f"of {commit}, which is without {commits[2]}"] for commit in commits[:2]] + [[], []]
+    assert all(find_behind(record, root=tmp_path) == [] for record in records)
+    unknown = Record(**ORIGIN, rows=[{}])
+    assert find_behind(unknown, commits[2], tmp_path) == ["commit 0123456 is not in this history"]
+    with pytest.raises(ConfigError, match="nothing is neither a commit nor a file or folder"):
+        find_commit("nothing", tmp_path)
+    (tmp_path / "new.py").write_text("")
+    with pytest.raises(ConfigError, match=r"No commit holds new\.py"):
+        find_commit("new.py", tmp_path)
+
+
 def test_a_success_is_read_where_the_row_has_one():
     summary = {
         **SUCCESS,
@@ -219,14 +241,18 @@ def checkout(tmp_path):
     (tmp_path / "README.md").write_text("<!-- table one -->\n<!-- end -->\n")
     git(tmp_path, "init", "-q")
     (tmp_path / ".gitignore").write_text("__pycache__/\n")
-    git(tmp_path, "add", ".")
-    git(tmp_path, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-m", "All")
+    commit_all(tmp_path)
     return tmp_path
 
 
 def git(folder, *words):
     done = subprocess.run(["git", *words], cwd=folder, capture_output=True, text=True, check=True)
     return done.stdout.strip()
+
+
+def commit_all(folder):
+    git(folder, "add", ".")
+    git(folder, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-m", "All")
 
 
 def command(folder, *words):
@@ -246,7 +272,7 @@ def test_a_table_is_run_again_and_goes_on_where_it_was(checkout):
     assert record["note"] == "by chance" and record["needs"] == ["make"]
     assert "one/a keeps its note, see whether it still holds: by chance" in told
     assert record["rows"][0]["episodes"] == 2 and record["rows"][0]["policy"] == "random"
-    git(checkout, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-a", "-m", "Results")
+    commit_all(checkout)
     code, told = command(checkout, "run", "one")  # another commit of the same code
     assert code == 0 and "one/a: of this version's code already" in told
     assert told.count("python recipes/evaluate.py") == 1
