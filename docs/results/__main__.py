@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from result_ages import tell_old
-from result_pages import pages, render_page
+from result_pages import find_unbound, pages, render_page
 from result_runs import run_table
 from result_tables import ROOT, read_table, table_names
 
@@ -23,11 +23,19 @@ def render() -> None:
 
 
 def check() -> int:
-    """Name pages that do not show what the files hold; 1 where there are any."""
-    differing = [page for page in pages() if render_page(page.read_text()) != page.read_text()]
-    for page in differing:
-        print(f"{page.relative_to(ROOT)} does not show what the files hold: run python docs/results render.")
-    return int(bool(differing))
+    """Name pages that do not show what the files hold, or state what none holds; 1 where there are any."""
+    wrong = 0
+    for page in pages():
+        text, name = page.read_text(), page.relative_to(ROOT)
+        if render_page(text) != text:
+            print(f"{name} does not show what the files hold: run python docs/results render.")
+            wrong = 1
+        for line in find_unbound(text):
+            print(
+                f"{name} states a figure that is of no file; docs/benchmarks.md tells how to add one: {line}"
+            )
+            wrong = 1
+    return wrong
 
 
 def list_tables() -> None:
@@ -43,7 +51,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python docs/results", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("render", help="write the tables and figures of every page anew")
-    commands.add_parser("check", help="tell whether the pages show what the files hold")
+    commands.add_parser("check", help="tell whether the pages show what the files hold, and no more")
     commands.add_parser("list", help="name the tables")
     old = commands.add_parser("old", help="tell rows of another version, or whose origin is not known")
     old.add_argument("tables", nargs="*", help="all, where none is named")

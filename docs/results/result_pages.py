@@ -28,6 +28,11 @@ from torchgrasp.errors import ConfigError
 
 _TABLE = re.compile(r"^<!-- table (\S+) -->$.*?^<!-- end -->$", re.MULTILINE | re.DOTALL)
 _FIGURE = re.compile(r"<!--fig\s(\S+)\s([^>]*?)-->[^<]*<!--/-->")
+_CODE = re.compile(r"^```.*?^```$|`[^`\n]*`", re.MULTILINE | re.DOTALL)
+_MEASURED_CELL = re.compile(
+    r"[-+]?\d[\d,.]*(?: to \d[\d,.]*)? (?:%|ms|steps/s|kB|MB|GB)(?: \[[^]]*\])?|\d+ of \d+"
+)
+_INTERVAL = re.compile(r"\d(?: %| points)? \[[-+]?\d+\.\d, [-+]?\d+\.\d\]")
 
 
 def pages(root: Path = ROOT) -> list[Path]:
@@ -50,6 +55,24 @@ def render_page(text: str, folder: Path = RESULTS) -> str:
 def shown_tables(text: str) -> list[str]:
     """Names of the tables that a page shows."""
     return _TABLE.findall(text)
+
+
+def find_unbound(text: str) -> list[str]:
+    """Lines that state a measured figure outside of markers: it would be of no file.
+
+    Nothing tells every measured figure from an option's value. These are figures that only a measurement
+    has: a value with its interval, and a table's cell that is a share, a time, a size or a count of others.
+    """
+    lines = text.split("\n")
+    for pattern in (_TABLE, _FIGURE, _CODE):
+        text = pattern.sub(lambda found: "\n" * found[0].count("\n"), text)
+    left = zip(lines, text.split("\n"), strict=True)
+    return [line for line, rest in left if _INTERVAL.search(rest) or _has_measured_cell(rest)]
+
+
+def _has_measured_cell(line: str) -> bool:
+    cells = line.split("|")[1:-1] if line.startswith("|") else []
+    return any(_MEASURED_CELL.fullmatch(cell.strip(" *")) for cell in cells)
 
 
 def render_table(name: str, folder: Path = RESULTS) -> str:

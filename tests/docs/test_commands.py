@@ -1,4 +1,4 @@
-"""Every recipe's command in README and documentation names options that exist."""
+"""Every command of a recipe in README, documentation and records of results names options that exist."""
 
 import re
 import shlex
@@ -8,20 +8,28 @@ import pytest
 from hydra import compose, initialize_config_dir
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from result_tables import read_table, table_names
 
 _ROOT = Path(__file__).parents[2]
 _PAGES = [_ROOT / "README.md", *sorted((_ROOT / "docs").rglob("*.md"))]
 _FENCE = re.compile(r"^```bash\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
+def _lines():
+    """Every line of a page's bash blocks, and every record's command."""
+    for block in (block for page in _PAGES for block in _FENCE.findall(page.read_text())):
+        yield from block.replace("\\\n", " ").splitlines()
+    for record in (record for name in table_names() for record in read_table(name).records.values()):
+        yield from (record.command, *record.needs)
+
+
 def _commands():
     """Distinct (recipe, overrides) of all commands that run one; <placeholders> become a word."""
     found = {}
-    for block in (block for page in _PAGES for block in _FENCE.findall(page.read_text())):
-        for line in block.replace("\\\n", " ").splitlines():
-            words = shlex.split(re.sub(r"<[^>]*>", "word", line), comments=True)
-            if len(words) > 1 and (recipe := _recipe(*words[:2])) is not None:
-                found[" ".join(words)] = (recipe, words[2:])
+    for line in _lines():
+        words = shlex.split(re.sub(r"<[^>]*>", "word", line), comments=True)
+        if len(words) > 1 and (recipe := _recipe(*words[:2])) is not None:
+            found[" ".join(words)] = (recipe, words[2:])
     return found
 
 
@@ -46,5 +54,5 @@ def test_command_names_a_recipe_and_options_that_exist(recipe, overrides):
         compose(name[1], overrides)
 
 
-def test_commands_are_found():
-    assert len(_commands()) >= 8
+def test_commands_of_pages_and_records_are_found():
+    assert len(_commands()) >= 100

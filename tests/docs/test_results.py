@@ -10,7 +10,7 @@ import sys
 import pytest
 from result_ages import find_behind, find_old
 from result_history import find_commit
-from result_pages import pages, render_page, render_table, shown_tables
+from result_pages import find_unbound, pages, render_page, render_table, shown_tables
 from result_runs import read_success, run_table
 from result_tables import (
     NOT_RECORDED,
@@ -43,6 +43,7 @@ COLUMNS = [{"name": "policy", "cell": "{policy}"}, {"name": "success", "cell": "
 def test_pages_show_what_the_files_hold(page):
     text = page.read_text()
     assert text == render_page(text), "python docs/results render writes it"
+    assert find_unbound(text) == []
 
 
 def test_every_record_is_shown():
@@ -133,6 +134,26 @@ def test_a_page_gets_its_tables_and_figures(tmp_path):
     ):
         with pytest.raises(ConfigError, match=told):
             render_page(wrong, tmp_path)
+
+
+def test_measured_figures_outside_of_markers_are_found():
+    measured = [
+        "It lifts 97.5 % [91.3, 99.3].",
+        "| box | **95.5 %** |",
+        "| x | 1.5 to 2 ms | y |",
+        "| 4 of 5 |",
+    ]
+    others = [
+        "| holes of 0.5 % | closed |",
+        "| `lr` | 0.3 |",
+        "`[0.4, 0.7]`",
+        "| `x` | `5 ms` |",
+        "5 ms later",
+    ]
+    bound = "It lifts <!--fig one/a {rate}-->97.5 % [91.3, 99.3]<!--/--> of them."
+    fenced = ["```text", "| 5 ms |", "```"]
+    table = ["<!-- table one -->", "", "| 5 ms |", "", "<!-- end -->"]
+    assert find_unbound("\n".join([*others, *measured, bound, *fenced, *table])) == measured
 
 
 def test_notes_stand_below_a_table_with_the_records_that_they_are_of(tmp_path):
