@@ -40,7 +40,12 @@ def view(cfg: DictConfig) -> dict[str, dict]:
     tables = {name: SuccessTable() for name in names}
     period = build(cfg.env.physics).control_period
     with EpisodeViewer(
-        policies=names, host=cfg.host, port=cfg.port, speed=cfg.speed, step_seconds=period
+        policies=names,
+        host=cfg.host,
+        port=cfg.port,
+        speed=cfg.speed,
+        step_seconds=period,
+        robot=cfg.robot,
     ) as viewer:
         print(f"Open {viewer.address} in a browser; ctrl-C ends.", flush=True)
         try:

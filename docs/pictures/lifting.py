@@ -1,7 +1,7 @@
 """The moving picture of the first page: python docs/pictures/lifting.py [file].
 
 The pretrained policy with six objects, in the first scene of a seed, whatever comes of it. Needs a renderer
-(`python -m torchgrasp doctor`) and the extras ycb and viz.
+(`python -m torchgrasp doctor`) and the extras ycb, random-urdfs (the Panda's meshes) and viz.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ _HOLD = 10  # frames for which the last is shown
 _OUTSIDE = RenderCamera(
     CameraIntrinsics(_SIZE, _SIZE, fov=0.72, near=0.05, far=5.0),
     T_base_camera=look_at((1.35, -0.75, 0.75), (0.38, 0.0, 0.24)),
+    robot="meshes",
 )
 
 

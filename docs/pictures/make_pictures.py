@@ -32,6 +32,7 @@ _CONF = _HERE.parents[1] / "conf"
 _OUTSIDE = RenderCamera(
     CameraIntrinsics(320, 256, fov=0.85, near=0.05, far=6.0),
     T_base_camera=look_at((1.4, -0.85, 0.75), (0.35, 0.0, 0.3)),
+    robot="meshes",
 )
 
 

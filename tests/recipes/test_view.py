@@ -37,7 +37,7 @@ def played(tmp_path_factory):
     torch.set_num_threads(1)
     cfg = evaluation_config(compose_config("policy=expert", "episodes=2", *SMALL, recipe="view"))
     env, table = make_split_env(cfg, "test"), SuccessTable()
-    with EpisodeViewer(policies=["expert"], port=0, speed=10.0) as viewer:
+    with EpisodeViewer(policies=["expert"], port=0, speed=10.0, robot="shapes") as viewer:
         playing = {"expert": make_policy(cfg, "expert")}
         view.play(viewer, env, playing, {"expert": table}, range(2))
         yield viewer, env.base_env, table
@@ -65,6 +65,19 @@ def test_the_robot_stands_where_physics_has_it(played):
                 assert abs(drawn[:3, 2] @ physical[:3, 0]) == pytest.approx(1.0, abs=1e-4)
             else:
                 assert np.allclose(drawn[:3, :3], physical[:3, :3], atol=1e-3)
+
+
+def test_the_panda_is_drawn_where_physics_has_its_links(played):
+    _, env, _ = played
+    links = {link.name: link for link in env.worlds._worlds[0]._panda.articulation.links}
+    with EpisodeViewer(policies=["expert"], port=0) as viewer:
+        look = viewer.scene.look
+        assert look.name == "meshes" and len(viewer.scene.robot) == len(look.parts) > len(links)
+        viewer.scene.arrange(env.worlds.joints[0], env.worlds.T_base_object[0])
+        drawn = np.stack([pose_of(handle) for handle in viewer.scene.robot])
+    for name in ("link0", "link3", "link7", "hand"):
+        physical = links[name].entity_pose.to_transformation_matrix()
+        assert (np.abs(drawn - physical).max(axis=(1, 2)) < 1e-3).any(), name
 
 
 def test_the_target_is_the_objects_mesh_where_physics_has_it(played):
@@ -149,7 +162,7 @@ def test_a_browser_gets_the_page_and_the_scene(tmp_path):
     page = urllib.request.urlopen(address, timeout=10).read()
     assert b"<html" in page
     protocol = f"viser-v{viser.__version__}"
-    with connect(address.replace("http", "ws"), subprotocols=[protocol]) as client:  # pyright: ignore
+    with connect(address.replace("http", "ws"), subprotocols=[protocol], max_size=None) as client:  # pyright: ignore
         names: set[bytes] = set()
         while not {b"/robot/0", b"/robot/17", b"/furniture/0"} <= names:
             names |= set(re.findall(rb"/[a-z]+/[0-9]+", unpacked(client.recv(timeout=10))))
@@ -170,6 +183,7 @@ def unpacked(message: str | bytes) -> bytes:
         ({"port": -1}, "port=-1"),
         ({"host": "192.0.2.1", "port": 0}, "host=192.0.2.1"),
         ({"port": 0, "speed": 0.0}, "speed=0.0"),
+        ({"port": 0, "robot": "boxes"}, "robot='boxes'"),
     ],
 )
 def test_what_cannot_be_served_is_refused_by_name(options, told):

@@ -6,13 +6,14 @@ import pytest
 import torch
 from torchrl.envs import Compose, TransformedEnv
 
+from torchgrasp import keys
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import ExpertPolicy
 from torchgrasp.report.drawing import draw_cloud, enlarge, shade_depth
 from torchgrasp.report.film import EndingRecorder, EpisodeFilm, write_video
-from torchgrasp.sim import CameraIntrinsics, RaycastCamera
+from torchgrasp.sim import CameraIntrinsics, RaycastCamera, RenderCamera
 from torchgrasp.transforms import AppendGripperPoints, DepthToPoints, SamplePoints
 
 OBJECTS = ProceduralObjects("train", num_objects=1, num_grasps=100)
@@ -53,6 +54,21 @@ def test_without_a_cloud_there_are_two_pictures(episode):
     assert frame.shape == (96, 128, 3)
 
 
+@pytest.mark.vulkan
+@pytest.mark.parametrize("engine", ["sapien", "mujoco"])
+def test_a_rendered_film_shows_the_panda_and_changes_nothing_else(engine):
+    camera = RenderCamera(CameraIntrinsics(32, 32), rgb=False)
+    env = GraspEnv(1, objects=OBJECTS, camera=camera, horizon=4, seed=0, engine=engine)
+    steps = env.rollout(2, ExpertPolicy(OBJECTS, horizon=4))[0]
+    shapes = next(EpisodeFilm(OBJECTS, size=64, robot="shapes").frames(steps))
+    meshes = next(EpisodeFilm(OBJECTS, size=64).frames(steps))
+    assert (shapes[32:, :64] != meshes[32:, :64]).any(axis=-1).mean() > 0.02
+    assert np.array_equal(shapes[:, 64:], meshes[:, 64:])
+    env.start_episodes_at([0])  # what the environment observes is the same after a film as before
+    again = env.rollout(2, ExpertPolicy(OBJECTS, horizon=4))[0]
+    assert all((steps[key] == again[key]).all() for key in (keys.DEPTH, keys.MASK, keys.JOINTS, keys.ACTION))
+
+
 def test_the_file_holds_the_frames_and_a_second_of_the_last(tmp_path):
     frames = [np.full((64, 128, 3), shade, dtype=np.uint8) for shade in (0, 120, 240)]
     path = write_video(tmp_path / "new" / "film.mp4", frames, fps=5)
@@ -89,5 +105,7 @@ def test_enlarging_repeats_pixels():
 def test_what_cannot_be_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="multiple of 16"):
         EpisodeFilm(OBJECTS, size=100, rendered=False)
+    with pytest.raises(ConfigError, match="robot='boxes'"):
+        EpisodeFilm(OBJECTS, robot="boxes")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ConfigError, match="no frame"):
         write_video(tmp_path / "film.mp4", [])

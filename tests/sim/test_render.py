@@ -15,6 +15,7 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.sim import CameraIntrinsics, Randomization, RaycastCamera, RenderCamera, View
 from torchgrasp.sim.render_scene import render_scene
+from torchgrasp.sim.robot_look import robot_look
 
 PLACES = {"wrist": {}, "overhead": OVERHEAD}
 
@@ -95,7 +96,7 @@ def test_without_randomisation_all_episodes_look_alike(targets):
 @pytest.mark.vulkan
 def test_only_some_targets_and_textures_are_kept(brick):
     camera = RenderCamera(CameraIntrinsics(16, 16), randomize=Randomization())
-    scene = render_scene()
+    scene = render_scene(robot_look("shapes"))
     sizes = np.linspace(0.8, 1.2, 60, dtype=np.float32)
     many = [
         replace(brick, vertices=brick.vertices * s, content_hash=f"{i:032x}") for i, s in enumerate(sizes)
@@ -126,11 +127,12 @@ def test_a_forked_process_is_told_what_to_do(targets):
     script = (
         "import os, sys, warnings; warnings.simplefilter('ignore')\n"
         "from torchgrasp.sim.render_scene import render_scene\n"
+        "from torchgrasp.sim.robot_look import robot_look\n"
         "from torchgrasp.errors import RenderError\n"
-        "render_scene()\n"
+        "render_scene(robot_look('shapes'))\n"
         "pid = os.fork()\n"
         "if pid: sys.exit(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))\n"
-        "try: render_scene()\n"
+        "try: render_scene(robot_look('shapes'))\n"
         "except RenderError as error: os._exit(7 if 'spawn' in str(error) else 8)\n"
         "os._exit(9)\n"
     )

@@ -15,6 +15,18 @@ def test_every_triangle_is_there_from_both_sides():
     assert ((normals * shading).sum(-1) > 0).all()
 
 
+def test_a_closed_mesh_may_do_without_the_inside():
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=np.float32)
+    both = mesh_visual(corners, np.array([(0, 1, 2)]), repeats=1.0)
+    one = mesh_visual(corners, np.array([(0, 1, 2)]), repeats=1.0, both_sides=False)
+    assert len(both.faces) == 2 and len(one.faces) == 1 and len(one.vertices) == 3
+    triangle = one.vertices[one.faces[0]]
+    assert (
+        np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])[2] > 0
+        and (one.normals[:, 2] == 1).all()
+    )
+
+
 def test_a_box_is_shaded_flat_and_a_capsule_round():
     box = box_visual(np.array((0.1, 0.2, 0.3)))
     assert np.isin(np.abs(box.normals), (0.0, 1.0)).all() and len(box.vertices) == 2 * 24

@@ -256,6 +256,7 @@ class Evaluate(Section):
     host: Annotated[str, StringConstraints(min_length=1)] | None = None
     port: Annotated[int, at_least(0, 65535)] = 0
     speed: Annotated[float, between(0.1, 10.0)] = 1.0
+    robot: Literal["shapes", "meshes"] = "meshes"
 
 
 class BroughtEnv(OpenSection):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from torchgrasp.objects.model import GraspObject
 from torchgrasp.report.drawing import draw_cloud, enlarge, observed_points, shade_depth, write_caption
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera, RenderCamera, View, look_at, probe_renderer
 from torchgrasp.sim.kinematics import forward_kinematics
+from torchgrasp.sim.robot_look import RobotLookName, check_robot
 
 # A control step lasts 0.15 s.
 REAL_TIME = 1 / 0.15
@@ -56,7 +58,8 @@ class EpisodeFilm:
 
     A frame shows, side by side, the scene from a place that stands still, the wrist camera's picture
     with the target in orange, and, where there are POINTS, the cloud that the policy sees with the hand
-    in blue. The scene is rendered in colour where the machine can, else it is drawn from rays.
+    in blue. The scene is rendered in colour where the machine can, with the Panda as it looks where its
+    meshes are installed (extra `random-urdfs`); else it is drawn from rays, which meet its colliding shapes.
 
     Closing and lifting happen after the last observation: `ending` of EndingRecorder shows them.
 
@@ -65,6 +68,7 @@ class EpisodeFilm:
         size: of each of the pictures, pixels; a multiple of 16, as video formats want.
         rendered: whether the scene is in colour; None where the renderer works.
         intrinsics: of the wrist camera; looking at the middle of its picture, 90 degrees high, by default.
+        robot: "shapes" renders what collides in place of the meshes.
     """
 
     def __init__(
@@ -74,15 +78,17 @@ class EpisodeFilm:
         size: int = 336,
         rendered: bool | None = None,
         intrinsics: CameraIntrinsics | None = None,
+        robot: RobotLookName = "meshes",
     ) -> None:
         check_range("size", size, 64, 2048)
+        check_robot(robot)
         if size % 16:
             raise ConfigError(f"size={size} is no multiple of 16: give {size // 16 * 16 or 16}.")
         self._objects = objects
         self._size, self._intrinsics = size, intrinsics
         self._lens = CameraIntrinsics(size, size, fov=0.9, near=0.05, far=5.0)
         use = probe_renderer().ok if rendered is None else rendered
-        make = RenderCamera if use else RaycastCamera
+        make = partial(RenderCamera, robot=robot) if use else RaycastCamera
         self._outside = make(self._lens, T_base_camera=look_at(_EYE, _AIM))
 
     def frames(self, steps: TensorDictBase, ending: Sequence[Moment] = ()) -> Iterator[np.ndarray]:

@@ -23,6 +23,7 @@ from torchgrasp.report.page_origin import refuse_other_pages
 from torchgrasp.report.viewer_panel import FASTEST, SLOWEST, Skipped, ViewerPanel
 from torchgrasp.report.viewer_scene import ViewerScene
 from torchgrasp.rollouts.episode_pool import Episode
+from torchgrasp.sim.robot_look import RobotLookName, check_robot
 
 # Seconds that an episode's result stands.
 _RESULT = 1.0
@@ -43,6 +44,8 @@ class EpisodeViewer:
         port: to listen on; 0 for any that is free.
         speed: that playing begins with, times real time.
         step_seconds: that a step of the policy lasts.
+        robot: "meshes" draws the Panda as it looks where its meshes are installed (extra `random-urdfs`),
+            "shapes" what collides.
 
     Attributes:
         scene: what is drawn.
@@ -53,7 +56,7 @@ class EpisodeViewer:
         >>> from torchgrasp.objects import ProceduralObjects
         >>> from torchgrasp.planning import RandomAction
         >>> env = GraspEnv(1, objects=ProceduralObjects("train", num_objects=1, num_grasps=100), horizon=2)
-        >>> with EpisodeViewer(policies=["random"], port=0, speed=10.0) as viewer:
+        >>> with EpisodeViewer(policies=["random"], port=0, speed=10.0, robot="shapes") as viewer:
         ...     steps = env.rollout(2, viewer.watch(RandomAction(), env))
         ...     len(viewer.scene.robot)
         18
@@ -67,9 +70,11 @@ class EpisodeViewer:
         port: int = 8080,
         speed: float = 1.0,
         step_seconds: float = 0.15,
+        robot: RobotLookName = "meshes",
     ) -> None:
         check_range("speed", speed, SLOWEST, FASTEST)
         check_whole("port", port, 0)
+        check_robot(robot)
         check_viewer_tools()
         import viser
 
@@ -79,7 +84,7 @@ class EpisodeViewer:
             self._server = viser.ViserServer(host=host, port=port, label="torchgrasp", verbose=False)
         refuse_other_pages(self._server, host)
         self.address = f"http://{host}:{self._server.get_port()}"
-        self.scene = ViewerScene(self._server)
+        self.scene = ViewerScene(self._server, robot=robot)
         self.panel = ViewerPanel(self._server, policies=policies, speed=speed)
         self._step_seconds, self._target = step_seconds, ""
 

@@ -11,8 +11,8 @@ from torchgrasp.geometry import pose_to_goal
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.report.drawing import hand_lines
 from torchgrasp.sim.kinematics import forward_kinematics
-from torchgrasp.sim.panda_pose import arm_poses, hand_poses
-from torchgrasp.sim.scene_parts import FLOOR, Part, furniture, robot_parts
+from torchgrasp.sim.robot_look import RobotLookName, robot_look
+from torchgrasp.sim.scene_parts import FLOOR, Part, furniture
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 
@@ -33,15 +33,17 @@ class ViewerScene:
 
     Args:
         server: whose scene is filled; it is emptied of nothing.
+        robot: which look of the robot is drawn, see `torchgrasp.sim.robot_look`.
 
     Attributes:
-        robot: handles of the robot's S shapes, in the order of `torchgrasp.sim.scene_parts.robot_parts`.
+        look: of the robot.
+        robot: handles of the P parts of its look.
         target: handle of the object's mesh, None before the first.
         cloud: handle of the observed points, posed by the hand that they were observed from.
         grasps: handles by name of the grasps drawn.
     """
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: viser.ViserServer, *, robot: RobotLookName = "meshes") -> None:
         self._scene = server.scene
         server.initial_camera.position, server.initial_camera.look_at = _EYE, _AIM
         server.initial_camera.fov = _FOV
@@ -49,8 +51,10 @@ class ViewerScene:
         top = Part(rectangle_visual(TABLE_LOWER, TABLE_UPPER, repeats=0.0), _TABLE_TOP)
         for index, part in enumerate((top, *furniture())):
             self._add(f"/furniture/{index}", part.visual, part.colour).position = np.array(part.position)
+        self.look = robot_look(robot)
         self.robot = [
-            self._add(f"/robot/{index}", part.visual, part.colour) for index, part in enumerate(robot_parts())
+            self._add(f"/robot/{index}", part.visual, part.colour)
+            for index, part in enumerate(self.look.parts)
         ]
         self.target: viser.MeshHandle | None = None
         self.cloud = self._scene.add_point_cloud(
@@ -75,9 +79,7 @@ class ViewerScene:
 
     def arrange(self, joints: np.ndarray, T_base_object: np.ndarray) -> None:
         """Move the robot to joints (9,) and the target to its pose (4, 4)."""
-        poses = np.concatenate(
-            (arm_poses(joints[:7]), hand_poses(forward_kinematics(joints[None, :7])[0], joints[7:]))
-        )
+        poses = self.look.poses(joints, forward_kinematics(joints[None, :7])[0])
         for handle, pose in zip(self.robot, poses, strict=True):
             _put(handle, pose)
         if self.target is not None:

@@ -1,4 +1,4 @@
-"""The one scene of a process in which things are rendered: robot, table, surroundings, targets."""
+"""The scenes of a process in which things are rendered, one for each look of the robot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from torchgrasp.sim._sapien import sapien
 from torchgrasp.sim.appearance import Appearance
 from torchgrasp.sim.camera import CameraIntrinsics
 from torchgrasp.sim.probe import REMEDY
-from torchgrasp.sim.scene_parts import FLOOR, Part, furniture, robot_parts
+from torchgrasp.sim.robot_look import RobotLook
+from torchgrasp.sim.scene_parts import FLOOR, Part, furniture
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
 from torchgrasp.sim.visuals import Visual, mesh_visual, rectangle_visual
 
@@ -30,9 +31,12 @@ class RenderScene:
     """Everything that can be seen, moved and dressed anew for each picture; there is no physics in it.
 
     Targets come and go: the last 32 stay in memory, one is shown.
+
+    Args:
+        look: of the robot.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, look: RobotLook) -> None:
         try:
             self._system = sapien.render.RenderSystem()
         except RuntimeError as error:
@@ -45,7 +49,7 @@ class RenderScene:
         self._look: Appearance | None = None
         self._materials = {name: _matt() for name in ("target", "table", "floor")}
         self._robot_materials: list[tuple[sapien.render.RenderMaterial, NDArray]] = []
-        self._robot = [self._add_robot_part(part) for part in robot_parts()]
+        self._robot = [self._add_robot_part(part) for part in look.parts]
         self._table = self._add(
             rectangle_visual(TABLE_LOWER, TABLE_UPPER, repeats=1.0), self._materials["table"]
         )
@@ -62,7 +66,7 @@ class RenderScene:
         Args:
             target: the object that is shown, alone of all.
             T_base_object: (4, 4) its pose.
-            robot: (S, 4, 4) poses of the robot's shapes, arm then hand, base frame.
+            robot: (P, 4, 4) poses of the parts of the robot's look, base frame.
             appearance: textures and light.
         """
         for entity, pose in zip(self._robot, robot.astype(np.float32), strict=True):
@@ -186,20 +190,22 @@ class RenderScene:
 # OpenCV's camera axes (z forward, x right, y down) as SAPIEN's (x forward, y left, z up).
 _SAPIEN_AXES = np.array([[0, -1.0, 0, 0], [0, 0, -1.0, 0], [1.0, 0, 0, 0], [0, 0, 0, 1.0]])
 
-_current: tuple[int, RenderScene] | None = None
+_scenes: dict[str, RenderScene] = {}
+_process: int | None = None
 
 
-def render_scene() -> RenderScene:
-    """The scene of this process, built at the first call."""
-    global _current
-    if _current is None:
-        _current = (os.getpid(), RenderScene())
-    if _current[0] != os.getpid():
+def render_scene(look: RobotLook) -> RenderScene:
+    """The scene of this process in which the robot looks so, built at the first call."""
+    global _process
+    _process = _process or os.getpid()
+    if _process != os.getpid():
         raise RenderError(
             "A process that has rendered was forked, and its renderer does not survive that: start the "
             "workers by 'spawn' (ParallelEnv(..., mp_start_method='spawn')), or render in them alone."
         )
-    return _current[1]
+    if look.name not in _scenes:
+        _scenes[look.name] = RenderScene(look)
+    return _scenes[look.name]
 
 
 def _matt(*, roughness: float = 0.9, specular: float = 0.1) -> sapien.render.RenderMaterial:

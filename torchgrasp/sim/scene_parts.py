@@ -1,4 +1,4 @@
-"""What stands in a scene besides its target: the robot's shapes, and furniture that no depth shows."""
+"""Parts that scenes are drawn of, and the furniture, which no depth shows."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchgrasp.sim.panda_pose import ARM_SIZES, HAND_SIZES, half_extents
 from torchgrasp.sim.table import TABLE_LOWER, TABLE_UPPER
-from torchgrasp.sim.visuals import Visual, box_visual, capsule_visual
+from torchgrasp.sim.visuals import Visual, box_visual
 
 FLOOR = -0.75
-_GREY, _DARK, _METAL, _WOOD = (0.55, 0.57, 0.6), (0.12, 0.12, 0.13), (0.75, 0.75, 0.78), (0.33, 0.24, 0.16)
+_GREY, _WOOD = (0.55, 0.57, 0.6), (0.33, 0.24, 0.16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +32,6 @@ class Part:
     specular: float = 0.1
 
 
-def robot_parts() -> list[Part]:
-    """The robot's S shapes in the order of `panda_pose.arm_poses`, then `hand_poses`."""
-    parts = []
-    for index, size in enumerate((*ARM_SIZES, *HAND_SIZES)):
-        visual = box_visual(half_extents(size)) if len(size) == 3 else capsule_visual(*size)
-        parts.append(Part(visual, _robot_colour(index), roughness=0.5, specular=0.4))
-    return parts
-
-
 def furniture() -> list[Part]:
     """The table's sides and legs, and the robot's pedestal."""
     half, middle = (TABLE_UPPER - TABLE_LOWER) / 2, (TABLE_UPPER + TABLE_LOWER) / 2
@@ -55,10 +45,3 @@ def furniture() -> list[Part]:
             parts.append(Part(leg, _GREY, tuple(place), roughness=0.6))
     pedestal = box_visual(np.array((0.13, 0.13, -FLOOR / 2 - 1e-3)))
     return [*parts, Part(pedestal, _GREY, (-0.04, 0.0, FLOOR / 2), roughness=0.6)]
-
-
-def _robot_colour(index: int) -> tuple[float, float, float]:
-    """White links, dark joints of the elbow and wrist, a dark hand with metal fingers."""
-    if index < len(ARM_SIZES):
-        return (0.9, 0.9, 0.92) if index % 2 else (0.72, 0.74, 0.77)
-    return _DARK if index == len(ARM_SIZES) else _METAL

@@ -19,7 +19,7 @@ _SIDES = [16, 32]
 
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """A mesh seen from both sides: each triangle twice, because the renderer shows front faces only.
+    """A mesh as the renderer shows it, which shows front faces only.
 
     Attributes:
         vertices: (V, 3) float32 metres.
@@ -34,13 +34,14 @@ class Visual:
     uvs: NDArray[np.float32]
 
 
-def mesh_visual(vertices: NDArray, faces: NDArray, *, repeats: float) -> Visual:
+def mesh_visual(vertices: NDArray, faces: NDArray, *, repeats: float, both_sides: bool = True) -> Visual:
     """A mesh with smooth normals where it is smooth and flat ones at its edges.
 
     Args:
         vertices: (V, 3) metres.
         faces: (F, 3) indices.
         repeats: of the texture per metre.
+        both_sides: whether it is seen from behind, too; each triangle then stands there twice.
     """
     normals, areas = face_normals(vertices.astype(np.float64), faces)
     used = areas > 0
@@ -52,6 +53,8 @@ def mesh_visual(vertices: NDArray, faces: NDArray, *, repeats: float) -> Visual:
     first, index = _distinct(rows)
     points, corner_normals, uvs = np.split(rows[first], (3, 6), axis=-1)
     index = index.reshape(-1, 3)
+    if not both_sides:
+        return Visual(points, index.astype(np.uint32), corner_normals, uvs)
     return Visual(
         np.concatenate((points, points)),
         np.concatenate((index, index[:, ::-1] + len(points))).astype(np.uint32),
