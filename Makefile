@@ -5,16 +5,19 @@ BIN := $(VENV)/bin
 ARGS ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test proofs lint docs install clean
+.PHONY: help demo test wheel-tests proofs lint docs install clean
 
 help:  ## list the targets
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 demo: $(VENV)/.installed  ## train and evaluate a policy (more options: make demo ARGS="seed=1")
 	$(BIN)/python recipes/td3_bc.py $(ARGS)
 
 test: $(VENV)/.installed-dev  ## tests, doctests and examples (choose: make test ARGS="-k critic")
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+
+wheel-tests:  ## the tests against the wheel alone (choose: make wheel-tests PYTHON=python3.12 TESTS=tests/data)
+	.ci/wheel_tests $(PYTHON) $(TESTS) $(ARGS)
 
 proofs: $(VENV)/.installed-dev  ## the slow tests: whole runs that are killed, on Ray, in sweeps
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow $(or $(TESTS),tests) $(ARGS)
@@ -44,4 +47,4 @@ $(BIN)/pip:
 		$(PYTHON) -m pip --python $(BIN)/python install --quiet pip; }
 
 clean:  ## remove what the other targets made, runs excepted
-	rm -rf $(VENV) site build dist *.egg-info .pytest_cache .ruff_cache
+	rm -rf $(VENV) .venv-wheel site build dist *.egg-info .pytest_cache .ruff_cache

@@ -1,7 +1,11 @@
-"""Tests marked `vulkan` run where something renders; recipes' configurations for all tests."""
+"""Tests marked `vulkan` run where something renders, those marked `pybullet` where it can be installed; recipes'
+configurations for all tests.
+"""
 
 import functools
+import importlib.util
 import os
+import sys
 
 import pytest
 
@@ -12,6 +16,9 @@ probe_once = functools.cache(probe_renderer)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
+    absent = sys.version_info >= (3, 12) and importlib.util.find_spec("pybullet_data") is None
+    if absent and item.get_closest_marker("pybullet") is not None:
+        pytest.skip("pybullet is not installed, and has no wheel for this Python")
     if item.get_closest_marker("vulkan") is None:
         return
     probe: RendererProbe = probe_once()

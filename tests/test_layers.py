@@ -17,6 +17,8 @@ import pytest
 
 import torchgrasp
 
+pytestmark = pytest.mark.checkout
+
 ROOT = Path(torchgrasp.__file__).parent
 CHECKOUT = ROOT.parent
 

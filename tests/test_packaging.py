@@ -13,6 +13,8 @@ import pytest
 
 from tests.configurations import ROOT
 
+pytestmark = pytest.mark.checkout
+
 BESIDE = {"torchgrasp.conf": "conf", "torchgrasp.recipes": "recipes"}
 
 

@@ -127,6 +127,7 @@ def test_offline_cells_update_as_often_as_online_ones(compose_cell):
     assert asked == {"expert": 50000, "failed": 120000}
 
 
+@pytest.mark.checkout
 def test_the_page_of_experiments_lists_each_cell_with_its_published_number():
     page = (ROOT / "docs" / "experiments.md").read_text()
     rows = {m[1]: line for line in page.splitlines() if (m := re.search(r"\[laptop,([\w/]+)\]", line))}

@@ -55,7 +55,7 @@ def test_the_network_is_the_policy_s(exported, states):
 def test_the_runner_is_the_module_that_is_tested(exported):
     assert (
         exported.with_name("grasp_policy.py").read_text()
-        == (ROOT / "torchgrasp/deploy/runner.py").read_text()
+        == Path(runner.__file__).read_text()
     )
     settings = json.loads(exported.with_suffix(".json").read_text())
     assert settings == json.loads(json.dumps(describe_policy(policy(), network="policy.onnx")))

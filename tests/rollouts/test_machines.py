@@ -15,13 +15,14 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from tests.configurations import ROOT
+import torchgrasp
 from torchgrasp.config.environments import SplitEnv, make_pool
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import FolderObjects
 from torchgrasp.rollouts import machines
 from torchgrasp.rollouts.ray_pool import import_ray
 
+FOUND = Path(torchgrasp.__file__).parents[1]
 # Without -S the editable installation of a checkout would be found. That of the packages is given by hand.
 _ASKED = """
 import pickle, sys
@@ -56,7 +57,7 @@ def ask(tmp_path):
 
 def copy_package(folder: Path, old: str, new: str) -> Path:
     """A folder that has torchgrasp with a change in its first file."""
-    shutil.copytree(ROOT / "torchgrasp", folder / "torchgrasp", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(FOUND / "torchgrasp", folder / "torchgrasp", ignore=shutil.ignore_patterns("__pycache__"))
     first = folder / "torchgrasp" / "__init__.py"
     assert old in first.read_text()
     first.write_text(first.read_text().replace(old, new))
@@ -67,11 +68,12 @@ class TestVersions:
     """Of the packages that decide an episode, and of the code."""
 
     def test_a_checkout_like_this_one_is_not_different(self, ask):
-        assert machines.tell_versions(machines.look([]), ask(machines.look, [], folders=[ROOT])) is None
+        assert machines.tell_versions(machines.look([]), ask(machines.look, [], folders=[FOUND])) is None
 
     def test_a_machine_that_finds_what_this_one_does_is_not_different(self, ask):
-        assert machines.tell_versions(machines.look([]), ask(machines.look, [str(ROOT)])) is None
+        assert machines.tell_versions(machines.look([]), ask(machines.look, [str(FOUND)])) is None
 
+    @pytest.mark.checkout  # where it is installed editable, and found only with its finder
     def test_no_torchgrasp(self, ask):
         assert machines.tell_versions(machines.look([]), ask(machines.look, [])) == "no torchgrasp"
 
@@ -90,7 +92,7 @@ class TestVersions:
     @pytest.mark.parametrize("package", ["torch", "ray"])
     def test_another_version_of_a_package(self, ask, tmp_path, package):
         folder = older(tmp_path, package)
-        told = machines.tell_versions(machines.look([]), ask(machines.look, [], folders=[folder, ROOT]))
+        told = machines.tell_versions(machines.look([]), ask(machines.look, [], folders=[folder, FOUND]))
         ours = importlib.metadata.version(package).partition("+")[0]
         assert told == f"{package} 0.0.1 in place of {ours}"
 
@@ -125,25 +127,25 @@ class TestIngredients:
         return pickle.dumps({"train": SplitEnv(cfg, "train")})
 
     def test_the_same_files_are_not_different(self, ask, packed):
-        here, there = machines.look_inside([], packed), ask(machines.look_inside, [], packed, folders=[ROOT])
+        here, there = machines.look_inside([], packed), ask(machines.look_inside, [], packed, folders=[FOUND])
         assert set(here["train"]) == {"low", "high"}
         assert machines.tell_ingredients(here, there) is None
 
     def test_a_path_of_this_machine_alone(self, ask, packed, meshes):
         meshes.rename(meshes.parent / "elsewhere")
-        there = ask(machines.look_inside, [], packed, folders=[ROOT])
+        there = ask(machines.look_inside, [], packed, folders=[FOUND])
         assert there == f"objects: {meshes} is not a directory: give the folder that holds the mesh files."
 
     def test_other_files_under_the_same_path(self, ask, packed, meshes):
         here = machines.look_inside([], packed)
         trimesh.creation.box((0.05, 0.06, 0.10)).export(meshes / "low.stl")
-        there = ask(machines.look_inside, [], packed, folders=[ROOT])
+        there = ask(machines.look_inside, [], packed, folders=[FOUND])
         assert machines.tell_ingredients(here, there) == "another low for the environment 'train'"
 
     def test_files_that_lack_or_are_more(self, ask, packed, meshes):
         here = machines.look_inside([], packed)
         (meshes / "low.stl").rename(meshes / "lower.stl")
-        there = ask(machines.look_inside, [], packed, folders=[ROOT])
+        there = ask(machines.look_inside, [], packed, folders=[FOUND])
         assert machines.tell_ingredients(here, there) == "no low for the environment 'train'"
         del here["train"]["low"]
         assert machines.tell_ingredients(here, there) == "also lower for the environment 'train'"
@@ -151,7 +153,7 @@ class TestIngredients:
     def test_a_cache_that_cannot_be_written(self, ask, packed, tmp_path):
         (tmp_path / "file").touch()
         env = {"TORCHGRASP_CACHE": str(tmp_path / "file" / "cache")}
-        there = ask(machines.look_inside, [], packed, folders=[ROOT], env=env)
+        there = ask(machines.look_inside, [], packed, folders=[FOUND], env=env)
         assert there.startswith(
             f"2 objects are not in the cache {tmp_path}/file/cache/objects, which cannot be"
         )
