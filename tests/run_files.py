@@ -28,7 +28,8 @@ def success_table(successes: int, episodes: int = 10) -> dict:
 def write_run(folder: Path, seed: int, successes: int, *, config: Any = None, **summary: Any) -> Path:
     """A finished run of 10 test episodes; `config` changes parts of its configuration."""
     folder.mkdir(parents=True)
-    parts = {name: {**values, **(config or {}).get(name, {})} for name, values in CONFIG.items()}
+    config = config or {}
+    parts = {name: {**CONFIG.get(name, {}), **config.get(name, {})} for name in {**CONFIG, **config}}
     (folder / "config.yaml").write_text(yaml.safe_dump({"seed": seed, **parts}))
     counts = {"wall_seconds": 600.0, "env_steps": 33600, "gradient_steps": 5000}
     counts |= {"versions": {}, "hardware": {}}

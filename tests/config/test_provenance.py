@@ -54,6 +54,8 @@ def test_a_collection_goes_on_in_the_engine_that_it_was_begun_in(described, tmp_
     for given in (["engine=sapien"], ["engine=mujoco", "engine.substeps=3"]):
         with pytest.raises(ConfigError, match="another engine"):
             check_same_collection(described(*given), tmp_path, begun)
+    begun["provenance"]["engine"] = {"_target_": "torchgrasp.sim.MujocoEngine"}  # that has the defaults
+    check_same_collection(described("engine=mujoco"), tmp_path, begun)
     older = {"provenance": {name: each for name, each in described().items() if name != "engine"}}
     check_same_collection(described(), tmp_path, older)
     with pytest.raises(ConfigError, match="another engine"):

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import asdict
 
 import pytest
 import yaml
@@ -7,7 +8,8 @@ import yaml
 from tests.run_files import compare_four_groups, read_runs, success_table, write_run
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.evaluation.comparison import compare_runs
-from torchgrasp.evaluation.run_results import check_same_scenes, read_result
+from torchgrasp.evaluation.run_results import check_same_scenes, read_result, read_scenes
+from torchgrasp.sim import MujocoEngine
 
 
 @pytest.fixture
@@ -90,6 +92,32 @@ def test_targets_move_as_the_evaluation_says(tmp_path):
     check_same_scenes([told, own])
     with pytest.raises(ConfigError, match=r"env.target_motion=static and jitter"):
         check_same_scenes([still, told])
+
+
+def test_engines_are_compared_by_what_they_do(tmp_path):
+    """Not by how much of them is written out, nor by how a pair is."""
+    names = ("torchgrasp.sim.MujocoEngine", "torchgrasp.sim.mujoco.mujoco_engine.MujocoEngine")
+    engines = [
+        {"_target_": names[0]},
+        {"_target_": names[1], **asdict(MujocoEngine())},
+        {"_target_": names[0], "impedance": [0.95, 0.99], "substeps": 8},
+        {"_target_": names[0], "substeps": 3},
+        {"_target_": "torchgrasp.sim.SapienEngine"},
+    ]
+    scenes = [read_scenes({"engine": each}) for each in (*engines, None)]
+    assert scenes[0] == scenes[1] == scenes[2] and scenes[4] == scenes[5] == read_scenes({})
+    runs = [
+        read_result(write_run(tmp_path / str(seed), seed, 5, config={"engine": each}))
+        for seed, each in enumerate(engines[2:4])
+    ]
+    with pytest.raises(ConfigError, match=r"\(engine.substeps=8 and 3\)"):
+        check_same_scenes(runs)
+
+
+def test_an_engine_of_one_s_own_is_compared_as_it_is_told():
+    own = {"_target_": "mine.MujocoEngine"}
+    assert read_scenes({"engine": own}) == {**read_scenes({}), "engine._target_": "mine.MujocoEngine"}
+    assert read_scenes({"engine": own}) != read_scenes({"engine": {**own, "substeps": 8}})
 
 
 def test_what_training_alone_sees_may_differ(tmp_path):

@@ -12,8 +12,8 @@ from torchgrasp.config.lenses import name_lenses
 from torchgrasp.config.weights_files import read_trained, weights_file
 from torchgrasp.data.files import describe_file
 from torchgrasp.errors import ConfigError
-from torchgrasp.evaluation.run_results import FIRST_ENGINE
 from torchgrasp.rollouts.collection import SHARD_ROUNDS
+from torchgrasp.sim.engines import describe_engine
 
 # What demonstrations and a training run on them must have in common.
 _SHARED = ("kind", "transforms", "camera", "overhead", "horizon", "action_space")
@@ -69,8 +69,9 @@ def _refuse_differing(ours: dict, path: Path, card: dict, names: list[str], plai
 
 
 def _name_engine(told: dict) -> dict:
-    """What is told, with the engine that all worlds had before there were two."""
-    return {**told, "engine": told.get("engine") or FIRST_ENGINE}
+    """What is told, with all options of its engine."""
+    engine = told.get("engine") or None
+    return {**told, "engine": describe_engine(engine) if isinstance(engine, dict | None) else engine}
 
 
 def check_learner(cfg: DictConfig) -> None:

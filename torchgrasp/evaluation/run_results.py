@@ -22,14 +22,13 @@ from torchgrasp.documents import (
 )
 from torchgrasp.errors import ConfigError
 from torchgrasp.runs.summary import ObjectRow, Summary
+from torchgrasp.sim.engines import describe_engine
 
 # Of the environment and the objects, what does not change a scene: scenes come from the evaluation's worlds
 # and seed, the number of grasps is the expert's.
 _NOT_OF_SCENES = ("env.num_envs", "env.action_space", "objects.num_grasps")
 _OF_EVALUATION = ("seed", "episodes", "num_envs")
 _NO_TABLES = ("objects", "comparison", "versions", "hardware", "failures", "never_lifted", "demonstrations")
-# The engine of runs of before there were two, which name none.
-FIRST_ENGINE = {"_target_": "torchgrasp.sim.SapienEngine"}
 _REMEDY = "restore it from a copy, or give other run directories of the recipes"
 
 
@@ -124,8 +123,8 @@ def read_scenes(config: Mapping[str, Any]) -> dict[str, Any]:
     if evaluation.get("target_motion") is not None:  # of the evaluation's targets alone
         env["target_motion"] = evaluation["target_motion"]
     parts = {"evaluation": chosen, "objects": objects, "env": env}
-    engine = config.get("engine")
-    if engine is not None and engine != FIRST_ENGINE:
+    engine = describe_engine(config.get("engine"))
+    if engine != describe_engine(None):
         parts["engine"] = engine
     return {name: value for name, value in flatten(parts) if name not in _NOT_OF_SCENES}
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from typing import Any, Literal
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.sim.engine import Engine
@@ -11,6 +13,7 @@ from torchgrasp.sim.sapien_world import SapienEngine
 
 EngineName = Literal["sapien", "mujoco"]
 _ENGINES: dict[str, type[Engine]] = {each.name: each for each in (SapienEngine, MujocoEngine)}
+_OURS = __package__ + "."
 
 
 def make_engine(engine: Engine | EngineName = "sapien") -> Engine:
@@ -28,3 +31,22 @@ def make_engine(engine: Engine | EngineName = "sapien") -> Engine:
         raise ConfigError(f"engine={engine!r} is no Engine: give {' or '.join(_ENGINES)}, or an Engine.")
     engine.check()
     return engine
+
+
+def describe_engine(told: Mapping[str, Any] | None) -> dict[str, Any]:
+    """An engine's configuration with every option in it: engines that do the same compare equal.
+
+    Options that are left out have their defaults, pairs are lists, and None is SAPIEN's, the engine of
+    configurations that name none. A class that is not ours keeps the options that are told.
+
+    >>> describe_engine({"_target_": "torchgrasp.sim.MujocoEngine", "impedance": (0.9, 0.99)})["impedance"]
+    [0.9, 0.99]
+    """
+    told = dict(told or {"_target_": f"{_OURS}{SapienEngine.__name__}"})
+    target = str(told.pop("_target_", ""))
+    kinds = {kind.__name__: kind for kind in _ENGINES.values()} if target.startswith(_OURS) else {}
+    if (kind := kinds.get(target.rpartition(".")[2])) is not None:
+        target = _OURS + kind.__name__
+        told = {each.name: each.default for each in fields(kind) if each.default is not MISSING} | told
+    plain = {name: list(each) if isinstance(each, tuple) else each for name, each in told.items()}
+    return {"_target_": target, **plain}
