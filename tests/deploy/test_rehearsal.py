@@ -8,10 +8,11 @@ import time
 
 import numpy as np
 import pytest
+from franky_sim.mujoco_simulator import MujocoSimulator
 
 from tests.deploy.stage import CAMERA, drawn, rehearse
 from torchgrasp.deploy.rehearsal import Rehearsal, RehearsalCamera
-from torchgrasp.deploy.rehearsal_scene import OBJECT, OBJECT_JOINT, object_inertia
+from torchgrasp.deploy.rehearsal_scene import OBJECT, OBJECT_JOINT, Contact, build_scene, object_inertia
 from torchgrasp.errors import ConfigError, MissingPackageError, ObjectError
 from torchgrasp.sim import Physics
 
@@ -101,6 +102,14 @@ def test_an_object_that_mujoco_refuses_is_told_and_nothing_stays_open():
     assert is_free(host) and threading.active_count() == threads
     with pytest.raises(RuntimeError, match="already cleaned up"):
         rehearsal._simulator.cleanup()
+
+
+def test_a_scene_of_another_franky_sim_is_refused_by_what_it_lacks():
+    target, scene = drawn()
+    simulator = MujocoSimulator(enable_visualization=False)
+    simulator.worldbody.remove(simulator.worldbody.find("geom[@name='ground']"))
+    with pytest.raises(ConfigError, match=r"has no geom\[@name='ground'\].*-c constraints.txt"):
+        build_scene(simulator, target, scene.T_base_object, Physics(), Contact())
 
 
 def test_without_franky_sim_the_extra_is_named(monkeypatch):

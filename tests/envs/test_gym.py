@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import Compose, PendulumEnv, TransformedEnv
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.envs.gym import GymGrasp
@@ -76,5 +76,7 @@ def test_misuse_is_told():
         env.step(np.zeros(3))
     with pytest.raises(ConfigError, match="2 worlds"):
         GymGrasp(GraspEnv(2, objects=OBJECTS, horizon=3, seed=0))
+    with pytest.raises(ConfigError, match="env is a PendulumEnv: give a GraspEnv"):
+        GymGrasp(TransformedEnv(PendulumEnv(), Compose()))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ConfigError, match=r"observed names \['points'\]"):
         GymGrasp(GraspEnv(1, objects=OBJECTS, horizon=3, seed=0), observed=("points",))

@@ -1,9 +1,10 @@
 """Films of a policy's episodes, as files."""
 
 import pytest
-from torchrl.envs import Compose, TransformedEnv
+from torchrl.envs import Compose, PendulumEnv, TransformedEnv
 
 from torchgrasp.envs import GraspEnv
+from torchgrasp.errors import ConfigError
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.planning import RandomAction
 from torchgrasp.report.film_recording import record_films
@@ -29,3 +30,9 @@ def test_a_file_for_each_episode_that_tells_object_and_outcome(tmp_path):
     ]
     # Three states and ten pictures of closing and lifting, and the last for a second more.
     assert imageio_ffmpeg.count_frames_and_secs(str(paths[0]))[0] == 3 + 10 + 4
+
+
+@pytest.mark.parametrize("env", [PendulumEnv(), TransformedEnv(PendulumEnv(), Compose())])
+def test_another_environment_is_refused(env, tmp_path):
+    with pytest.raises(ConfigError, match="env is a PendulumEnv: give a TransformedEnv around a GraspEnv"):
+        record_films(env, RandomAction(), tmp_path, num_episodes=1, fps=4)

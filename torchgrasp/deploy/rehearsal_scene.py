@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import trimesh
 
+from torchgrasp.errors import ConfigError
 from torchgrasp.objects.model import GraspObject
 from torchgrasp.sim.mujoco.target_spec import distribute
 from torchgrasp.sim.physics import Physics
@@ -52,6 +53,9 @@ def build_scene(
         T_base_object: (4, 4) its pose.
         physics: mass and frictions.
         contact: how bodies touch.
+
+    Raises:
+        ConfigError: where franky-sim's scene is another one than this was written for.
     """
     option = _one(simulator.scene, "option")
     option.set("cone", "elliptic")
@@ -110,7 +114,11 @@ def damp_object(model: Any, target: GraspObject, physics: Physics) -> None:
 
 def _one(parent: Any, path: str) -> Any:
     found = parent.find(path)
-    assert found is not None, path
+    if found is None:
+        raise ConfigError(
+            f"franky-sim's scene has no {path}, which a rehearsal changes: install the version of "
+            'constraints.txt, pip install -c constraints.txt "torchgrasp[dev]".'
+        )
     return found
 
 

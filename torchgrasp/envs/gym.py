@@ -58,11 +58,13 @@ class GymGrasp(gymnasium.Env):
         *,
         observed: Sequence[str] = (keys.JOINTS, keys.TIME_LEFT),
     ) -> None:
+        base = env.base_env if isinstance(env, TransformedEnv) else env
+        if not isinstance(base, GraspEnv):
+            told = type(base).__name__
+            raise ConfigError(f"env is a {told}: give a GraspEnv, or a TransformedEnv around one.")
         if env.batch_size != torch.Size([1]):
             raise ConfigError(f"env has {env.batch_size.numel()} worlds: give one world, num_envs=1.")
         self._env: EnvBase = env
-        base = env.base_env if isinstance(env, TransformedEnv) else env
-        assert isinstance(base, GraspEnv)
         self._grasp, self._observed_keys = base, tuple(dict.fromkeys(observed))
         seen = env.observation_spec
         if absent := [key for key in self._observed_keys if key not in set(seen.keys())]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from torchrl.envs import TransformedEnv
 
 from torchgrasp.envs import GraspEnv
+from torchgrasp.errors import ConfigError
 from torchgrasp.names import file_stem
 from torchgrasp.report.film import EndingRecorder, EpisodeFilm, write_video
 from torchgrasp.rollouts import SerialPool
@@ -29,9 +30,13 @@ def record_films(
         folder: of the files.
         num_episodes: how many.
         fps: frames a second; a step is a frame.
+
+    Raises:
+        ConfigError: where env is none of GraspEnv with transforms.
     """
-    base = env.base_env
-    assert isinstance(base, GraspEnv)
+    base = env.base_env if isinstance(env, TransformedEnv) else env
+    if not isinstance(env, TransformedEnv) or not isinstance(base, GraspEnv):
+        raise ConfigError(f"env is a {type(base).__name__}: give a TransformedEnv around a GraspEnv.")
     seen_by = base.cameras["camera"].intrinsics
     recorder, film = EndingRecorder(base), EpisodeFilm(base.objects, intrinsics=seen_by)
     paths: list[Path] = []
