@@ -29,24 +29,30 @@ from torchgrasp.sim.world import LIFTED
 
 _FRAME = 0.05  # seconds between the frames of a film
 _SIZE = 480
+_MOST_LEFT_OUT = 100  # scenes in a row: by then the next ones are no better
 _BEGINS = b'{"policy": '  # every row
 
 
-def benchmark_franka(cfg: DictConfig) -> list[dict]:
-    """The rows of all episodes; those that the file of results has already are not run again."""
+def benchmark_franka(cfg: DictConfig, limits: ArmLimits | None = None) -> list[dict]:
+    """The rows of all episodes; those that the file of results has already are not run again.
+
+    Raises:
+        ConfigError: where the file is of other options or damaged, or no scene suits the arm's limits.
+    """
     options = cfg.franka
     path = Path(options.results)
     asked = {"policy": str(options.policy), "split": str(options.split), "seed": int(cfg.seed)}
     asked |= {"objects": int(options.objects), "watchdog": float(options.watchdog)}
     rows = read_rows(path, asked)
-    stage = _Stage(asked)
+    stage = _Stage(asked, limits or ArmLimits())
     scene, left_out = rows[-1]["scene"] + 1 if rows else 0, 0
     while len(rows) < options.episodes:
         film = options.film if len(rows) == 0 else None
         row = stage.play(scene, film)
         scene += 1
-        if row is None:
+        if isinstance(row, StopError):
             left_out += 1
+            _check_some_suit(left_out, row)
             continue
         if row["cause"] == "interrupted":
             raise KeyboardInterrupt
@@ -58,6 +64,15 @@ def benchmark_franka(cfg: DictConfig) -> list[dict]:
         print(_tell(rows[-1]), flush=True)
     print(json.dumps(summary := summarize(rows), indent=2), flush=True)
     return [summary, *rows]
+
+
+def _check_some_suit(left_out: int, reason: StopError) -> None:
+    """Refuse to look on where no scene suits the arm."""
+    if left_out == _MOST_LEFT_OUT:
+        raise ConfigError(
+            f"The arm may not stand at the start of any of {left_out} scenes in a row (of the last, "
+            f"{reason}): give another franka.policy, for the starts are those that it was trained with."
+        )
 
 
 def summarize(rows: list[dict]) -> dict:
@@ -132,9 +147,9 @@ def _tell(row: dict) -> str:
 
 
 class _Stage:
-    """Objects, starts, policy and camera of the episodes."""
+    """Objects, starts, policy, camera and limits of the episodes."""
 
-    def __init__(self, asked: dict) -> None:
+    def __init__(self, asked: dict, limits: ArmLimits) -> None:
         policy = torchgrasp.load_policy(asked["policy"])
         self._objects = ProceduralObjects(asked["split"], num_objects=asked["objects"])
         env = torchgrasp.make_env(
@@ -144,18 +159,18 @@ class _Stage:
         self._camera = RaycastCamera(self._env.cameras["camera"].intrinsics)
         intrinsics, place = self._camera.intrinsics, self._camera.T_ee_camera
         self._agent = GraspAgent(policy, intrinsics=intrinsics, T_ee_camera=place)
-        self._limits = ArmLimits()
+        self._limits = limits
         self._watchdog = asked["watchdog"]
 
-    def play(self, number: int, film: str | None) -> dict | None:
-        """The row of one scene; None where the arm may not stand at its start."""
+    def play(self, number: int, film: str | None) -> dict | StopError:
+        """The row of one scene; why the arm may not stand at its start, where that is so."""
         scene = self._env.scene(0, number)
         try:
             self._limits.check_joints(scene.q)
             self._limits.check_pose(forward_kinematics(scene.q[None])[0])
         except StopError as error:
             print(f"     scene {number} is left out: {error}", flush=True)
-            return None
+            return error
         target = self._objects[scene.object_id]
         with Rehearsal(target, scene.T_base_object, scene.q, physics=scene.physics) as rehearsal:
             moments: list[Snapshot] = []

@@ -5,6 +5,7 @@ import json
 import franka_loop
 import pytest
 
+from torchgrasp.deploy import ArmLimits
 from torchgrasp.errors import ConfigError
 
 ASKED = {"policy": "pretrained", "split": "val", "seed": 0, "objects": 3, "watchdog": 0.1}
@@ -44,6 +45,15 @@ def test_what_slipped_is_told_from_what_was_missed():
 
 def test_scenes_that_were_left_out_are_counted():
     assert franka_loop.summarize([row(0, left_out=2), row(1), row(2, left_out=1)])["left_out"] == 3
+
+
+def test_scenes_of_which_none_suits_the_arm_come_to_an_end(composed, tmp_path):
+    narrow = ArmLimits(workspace=((0.1, -0.01, 0.0), (0.11, 0.01, 1.0)))
+    options = ["franka.split=val", "franka.objects=1", f"franka.results={tmp_path / 'results.jsonl'}"]
+    with pytest.raises(
+        ConfigError, match=r"any of 100 scenes in a row .* outside .*give another franka\.policy"
+    ):
+        franka_loop.benchmark_franka(composed(*options), narrow)
 
 
 def write(file, *rows, end=""):
