@@ -1,6 +1,5 @@
 """Real rollouts of one arm, as a camera and an arm tell of them, beside what GraspAgent answered."""
 
-import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,17 +7,12 @@ import torch
 from torchrl.envs.utils import step_mdp
 
 import torchgrasp
+from tests.deploy.pretrained import policy
 from torchgrasp import keys
 from torchgrasp.deploy import GraspAgent, GraspCommand
 from torchgrasp.intrinsics import CameraIntrinsics
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.sim import RaycastCamera
-
-
-@functools.cache
-def policy():
-    torch.set_num_threads(1)
-    return torchgrasp.load_policy("pretrained")
 
 
 @dataclass

@@ -4,21 +4,14 @@ import contextlib
 import functools
 import time
 
-import torch
-
 import torchgrasp
+from tests.deploy.pretrained import policy
 from torchgrasp.deploy import ClosedLoop, FrankaArm, GraspAgent
 from torchgrasp.deploy.rehearsal import Rehearsal, RehearsalCamera
 from torchgrasp.objects import ProceduralObjects
 from torchgrasp.sim import RaycastCamera
 
 CAMERA = RaycastCamera()
-
-
-@functools.cache
-def policy():
-    torch.set_num_threads(1)
-    return torchgrasp.load_policy("pretrained")
 
 
 @functools.cache

@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs.utils import step_mdp
 
 import torchgrasp
+from tests.deploy.pretrained import policy
 from torchgrasp import keys
 from torchgrasp.config.trained_policy import TrainedPolicy
 from torchgrasp.config.trained_view import choose_transforms
@@ -24,12 +25,6 @@ from torchgrasp.sim.kinematics import READY_POSTURE, forward_kinematics
 
 WORLDS = 3
 CAMERA = CameraIntrinsics()
-
-
-@functools.cache
-def policy():
-    torch.set_num_threads(1)
-    return torchgrasp.load_policy("pretrained")
 
 
 @functools.cache

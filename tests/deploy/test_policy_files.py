@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -13,7 +14,8 @@ import torch
 from tensordict import TensorDict
 
 from tests.configurations import ROOT
-from tests.deploy.recordings import policy, record
+from tests.deploy.pretrained import policy
+from tests.deploy.recordings import record
 from torchgrasp.config.trained_policy import TrainedPolicy
 from torchgrasp.deploy import runner
 from torchgrasp.deploy.policy_files import describe_policy, export_policy
@@ -53,10 +55,7 @@ def test_the_network_is_the_policy_s(exported, states):
 
 
 def test_the_runner_is_the_module_that_is_tested(exported):
-    assert (
-        exported.with_name("grasp_policy.py").read_text()
-        == Path(runner.__file__).read_text()
-    )
+    assert exported.with_name("grasp_policy.py").read_text() == Path(runner.__file__).read_text()
     settings = json.loads(exported.with_suffix(".json").read_text())
     assert settings == json.loads(json.dumps(describe_policy(policy(), network="policy.onnx")))
     assert list(runner.TRANSFORMS) == [each["name"] for each in settings["transforms"]]
