@@ -1,6 +1,4 @@
-"""Tests marked `vulkan` run where something renders, those marked `pybullet` where it can be installed; recipes'
-configurations for all tests.
-"""
+"""Tests marked `vulkan` or `pybullet` run where there is such a thing; recipes' configurations for all."""
 
 import functools
 import importlib.util

@@ -121,6 +121,7 @@ def test_names_of_both_kinds_may_be_mixed_in_every_split():
         ProceduralObjects("train", families=["teapot"])
 
 
+@pytest.mark.pybullet
 def test_the_configured_set_holds_every_family_and_the_mixture_half_of_them():
     cfg = compose_config("policy=random", "objects=household", recipe="evaluate")
     cfg.evaluation.num_objects = 52

@@ -8,7 +8,9 @@ from torchgrasp.objects.ycb import TEST, TRAIN
 SETS = {"ycb": YcbObjects, "random_urdfs": RandomUrdfObjects}
 
 
-@pytest.mark.parametrize(("kind", "total"), [("ycb", 78), ("random_urdfs", 1000)])
+@pytest.mark.parametrize(
+    ("kind", "total"), [("ycb", 78), pytest.param("random_urdfs", 1000, marks=pytest.mark.pybullet)]
+)
 def test_the_index_knows_every_object_and_sets_leave_out_the_unusable(kind, total):
     everything = SETS[kind](usable_only=False)
     index = packaged.read_index(kind)
@@ -32,6 +34,7 @@ def test_ycb_has_the_papers_nine_and_ten():
     assert YcbObjects("others", num_objects=3).names == others[:3]
 
 
+@pytest.mark.pybullet
 def test_random_urdfs_are_split_by_number():
     bounds = {"train": (0, 799), "val": (800, 899), "test": (900, 999)}
     for split, (low, high) in bounds.items():
@@ -48,6 +51,7 @@ def test_a_scan_becomes_an_object(cache_dir):
     assert len(pudding.grasps) == 100 and len(pudding.parts) == 1
 
 
+@pytest.mark.pybullet
 def test_a_random_shape_keeps_its_parts(cache_dir):
     objects = RandomUrdfObjects("train", num_objects=1, num_grasps=100, cache_dir=cache_dir)
     (item,) = objects
@@ -56,6 +60,7 @@ def test_a_random_shape_keeps_its_parts(cache_dir):
     assert item.size == pytest.approx((0.0904, 0.1202, 0.0316), abs=1e-3)
 
 
+@pytest.mark.pybullet
 def test_the_shape_with_nan_vertices_is_refused_by_name(cache_dir):
     objects = RandomUrdfObjects(usable_only=False, cache_dir=cache_dir)
     for _ in range(2):  # the second time from what the cache remembers
