@@ -10,8 +10,8 @@ import pytest
 import torchgrasp
 
 PACKAGE = Path(torchgrasp.__file__).parent
-# Code that sees a configuration, or speaks to somebody who writes one.
-MAY_NAME_OPTIONS = ("config", "commands")
+# Code that sees a configuration, or speaks to somebody who writes one; recipes lie here once installed.
+MAY_NAME_OPTIONS = ("config", "commands", "recipes")
 # These look options up in a finished run's config.yaml: a whole string there is a name, not a message.
 READ_OPTIONS = ("evaluation/run_results.py", "report/console.py")
 
