@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from inspect import signature
 from typing import Any, Literal
 
 from torchgrasp.errors import ConfigError
@@ -13,7 +13,7 @@ from torchgrasp.sim.sapien_world import SapienEngine
 
 EngineName = Literal["sapien", "mujoco"]
 _ENGINES: dict[str, type[Engine]] = {each.name: each for each in (SapienEngine, MujocoEngine)}
-_OURS = __package__ + "."
+_OURS = "torchgrasp.sim."
 
 
 def make_engine(engine: Engine | EngineName = "sapien") -> Engine:
@@ -47,6 +47,6 @@ def describe_engine(told: Mapping[str, Any] | None) -> dict[str, Any]:
     kinds = {kind.__name__: kind for kind in _ENGINES.values()} if target.startswith(_OURS) else {}
     if (kind := kinds.get(target.rpartition(".")[2])) is not None:
         target = _OURS + kind.__name__
-        told = {each.name: each.default for each in fields(kind) if each.default is not MISSING} | told
+        told = {name: each.default for name, each in signature(kind).parameters.items()} | told
     plain = {name: list(each) if isinstance(each, tuple) else each for name, each in told.items()}
     return {"_target_": target, **plain}
