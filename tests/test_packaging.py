@@ -83,3 +83,10 @@ def test_the_wheel_holds_all_that_is_read_at_run_time(wheel):
 def test_the_wheel_holds_nothing_else(wheel):
     assert {name.split("/")[0].split("-")[0] for name in wheel} == {"torchgrasp"}
     assert not any("test" in name or "__pycache__" in name for name in wheel)
+
+
+def test_no_large_file_is_tracked():
+    """What history holds once, every clone carries for ever."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True)
+    files = [ROOT / name for name in listed.stdout.split("\0") if name]
+    assert [path.name for path in files if path.exists() and path.stat().st_size > 2_000_000] == []
