@@ -20,6 +20,7 @@ TOOLS = {
     "doctor": "what works on this machine, and how to mend the rest",
     "objects": "build a set of objects and list which of them can be grasped",
     "dataset": "check, print, export or import a folder of demonstrations",
+    "average": "one policy of several that were trained on from the same start",
     "export": "write a trained policy for machines without torchgrasp, or without torch",
 }
 RECIPES = {

@@ -1,0 +1,33 @@
+"""torchgrasp average: a policy of the mean, faults in one line."""
+
+import pytest
+import torch
+
+import torchgrasp
+from torchgrasp.commands.command_line import main
+from torchgrasp.runs.weights import PRETRAINED, load_weights
+
+
+def test_the_mean_of_a_policy_with_itself_is_that_policy(tmp_path, capsys):
+    output = tmp_path / "mean.safetensors"
+    assert main(["average", "pretrained", str(PRETRAINED), "--output", str(output)]) == 0
+    assert capsys.readouterr().out == f"Written to {output}: actor of 2 policies\n"
+    mean, itself = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
+    assert all(torch.equal(mean[key], value) for key, value in itself.items())
+    torchgrasp.load_policy(str(output))
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["pretrained"], "two or more"),
+        (["pretrained", "nobody"], "policy='nobody' is not there"),
+        (["pretrained", "pretrained", "--output", "/proc/mean.safetensors"], "cannot be written"),
+    ],
+)
+def test_faults_are_told_in_one_line(options, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["average", *options]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and told in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,26 @@
+"""``torchgrasp average``: one policy of several that were trained on from the same start."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "average the weights of policies that were trained on from one another, or from one start"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The policies, and where their mean goes."""
+    parser.add_argument("policies", nargs="+", help="run directories, weights files or pretrained; two or more")
+    parser.add_argument("--output", default="policy.safetensors", help="the weights file to write")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the mean, and name it."""
+    from torchgrasp.config.weights_files import check_weights, weights_file
+    from torchgrasp.runs.averaged_weights import average_weights
+
+    for name in args.policies:
+        check_weights("policy", name)
+    names = average_weights([weights_file(Path(name)) for name in args.policies], Path(args.output))
+    print(f"Written to {args.output}: {', '.join(names)} of {len(args.policies)} policies")
+    return 0

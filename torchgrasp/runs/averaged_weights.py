@@ -1,0 +1,70 @@
+"""One policy of several: the mean of their weights, where one was trained from another or all from one start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from torchgrasp.errors import ConfigError
+from torchgrasp.runs.weights import load_weights, save_weights
+
+# What a run's own configuration says of files: of no meaning for those who get the weights.
+_OF_ONE_RUN = {"resume": None, "init": None, "output_dir": "outputs"}
+
+
+def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
+    """Write the mean of the weights files `paths` to `output`; returns the names of the networks in it.
+
+    Networks that were trained on from the same weights lie in one basin: the mean of their weights often
+    does better than each of them and costs no more than one (Wortsman et al. 2022, "Model soups"). The mean
+    of networks from different beginnings does nothing. Networks that not all files hold are left out; the
+    configuration is that of the first file, without what it says of its run.
+
+    Args:
+        paths: two files of `save_weights` or more.
+        output: the file to write, whole or not at all.
+
+    Raises:
+        ConfigError: for less than two files, or networks of different shapes.
+        CheckpointError: where a file cannot be read.
+    """
+    if len(paths) < 2:
+        raise ConfigError("There is nothing to average in one policy: give two or more.")
+    loaded = [load_weights(path) for path in paths]
+    (first, config), others = loaded[0], [states for states, _ in loaded[1:]]
+    names = [name for name in first if all(name in states for states in others)]
+    if not names:
+        raise ConfigError(f"{paths[0]} and the others have no network in common: give policies of one recipe.")
+    means: dict[str, dict[str, Tensor]] = {}
+    for name in names:
+        for path, states in zip(paths[1:], others, strict=True):
+            _check_alike(name, first[name], states[name], paths[0], path)
+        means[name] = {
+            key: _mean([value, *(states[name][key] for states in others)])
+            for key, value in first[name].items()
+        }
+    save_weights(output, means, config | {key: value for key, value in _OF_ONE_RUN.items() if key in config})
+    return names
+
+
+def _check_alike(
+    name: str, ours: dict[str, Tensor], theirs: dict[str, Tensor], our_path: Path, path: Path
+) -> None:
+    shapes = ({key: (value.shape, value.dtype) for key, value in each.items()} for each in (ours, theirs))
+    one, other = shapes
+    differing = sorted(key for key in {*one, *other} if one.get(key) != other.get(key))
+    if differing:
+        raise ConfigError(
+            f"The {name} of {path} is built otherwise than that of {our_path} ({differing[0]} is the first of "
+            f"{len(differing)} differences): give policies that were trained on from one another."
+        )
+
+
+def _mean(values: Sequence[Tensor]) -> Tensor:
+    """The mean of tensors of one shape; of counters and the like, which are whole, the first."""
+    if not values[0].is_floating_point():
+        return values[0]
+    return torch.stack(list(values)).mean(dim=0)
