@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 
 from result_ages import tell_old
 from result_pages import find_unbound, pages, render_page
+from result_plan_runs import run_plan
 from result_runs import run_table
 from result_tables import ROOT, read_table, table_names
 
-from torchgrasp.errors import TorchgraspError
+from torchgrasp.errors import ConfigError, TorchgraspError
+from torchgrasp.interruption import Interrupted
 
 
 def render() -> None:
@@ -41,9 +44,22 @@ def check() -> int:
 def list_tables() -> None:
     """Print each table's name, how many records it has, whether it can be run again, and its title."""
     for name in table_names():
-        definition = read_table(name).definition
-        how = "run" if definition.reads else ""
-        print(f"{name:28} {len(definition.records):3} {how:4} {definition.title}")
+        table = read_table(name)
+        how = "run" if table.definition.reads else ""
+        print(f"{name:28} {len(table.records):3} {how:4} {table.definition.title}")
+
+
+def run(table: str, only: Sequence[str] | None, again: bool, jobs: int) -> None:
+    """Run a table's commands and write the pages anew, also where it was stopped or some failed."""
+    try:
+        if read_table(table).definition.plan is not None:
+            run_plan(table, only=only, again=again, jobs=jobs)
+        elif jobs != 1:
+            raise ConfigError(f"--jobs is for tables with a plan; {table} runs its commands one by one.")
+        else:
+            run_table(table, only=only, again=again)
+    finally:
+        render()
 
 
 def main(arguments: list[str]) -> int:
@@ -56,21 +72,24 @@ def main(arguments: list[str]) -> int:
     old = commands.add_parser("old", help="tell rows of another version, or whose origin is not known")
     old.add_argument("tables", nargs="*", help="all, where none is named")
     old.add_argument("--since", help="rows before this commit, or before the last change of this path, alone")
-    run = commands.add_parser("run", help="run a table's commands again and write its records")
-    run.add_argument("table")
-    run.add_argument("--only", nargs="+", help="these records alone")
-    run.add_argument("--again", action="store_true", help="also those of the present version")
+    running = commands.add_parser("run", help="run a table's commands again and write its records")
+    running.add_argument("table")
+    running.add_argument("--only", nargs="+", help="these records alone; of a plan, these runs")
+    running.add_argument("--again", action="store_true", help="also those of the present version")
+    running.add_argument("--jobs", type=int, default=1, help="so many runs of a plan side by side")
     given = parser.parse_args(arguments)
     try:
         if given.command == "old":
             tell_old(given.tables or table_names(), given.since)
         elif given.command == "run":
-            run_table(given.table, only=given.only, again=given.again)
-            render()
+            run(given.table, given.only, given.again, given.jobs)
         elif given.command == "check":
             return check()
         else:
             {"render": render, "list": list_tables}[given.command]()
+    except Interrupted as stopped:
+        print(f"{stopped}. The same command goes on with what is missing.", file=sys.stderr)
+        return stopped.exit_code
     except TorchgraspError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1

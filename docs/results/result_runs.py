@@ -30,7 +30,7 @@ from torchgrasp.errors import ConfigError
 from torchgrasp.runs.summary import Summary
 
 # What gives the figures. The record of the shipped policy's own lies in the package.
-_CODE = ("torchgrasp", "conf", "recipes", "benchmarks", ":!torchgrasp/weights/pretrained.json")
+CODE = ("torchgrasp", "conf", "recipes", "benchmarks", ":!torchgrasp/weights/pretrained.json")
 _SUCCESS = ("success_rate", "success_ci95", "episodes", "failures")
 _REMEDY = "look at what the command printed"
 
@@ -49,17 +49,17 @@ def run_table(
     """
     table = read_table(name, folder)
     chosen = _choose(table, only)
-    _check_committed()
+    check_committed()
     commit = run_git("rev-parse", "--short", "HEAD")
     done = []
     for each in chosen:
         record = table.records[each]
-        if not again and record.recorded == "run" and has_same_code(record.commit, _CODE):
+        if not again and record.recorded == "run" and has_same_code(record.commit, CODE):
             print(f"{name}/{each}: of this version's code already")
             continue
         print(f"{name}/{each}: {record.command}", flush=True)
         new = run_record(record, table.definition, commit)
-        _write(table, each, new, folder)
+        write_record(table, each, new, folder)
         if new.note:
             print(f"{name}/{each} keeps its note, see whether it still holds: {new.note}")
         done.append(each)
@@ -72,19 +72,15 @@ def run_record(record: Record, definition: Definition, commit: str) -> Record:
     What tells rows apart, the note and the other commands are kept from the record.
     """
     with tempfile.TemporaryDirectory(prefix="results-") as scratch:
-        command = [*_python_command(record.command), f"output_dir={scratch}"]
-        code = subprocess.run(command, cwd=ROOT, env=_environment()).returncode
+        command = [*python_command(record.command), f"output_dir={scratch}"]
+        code = subprocess.run(command, cwd=ROOT, env=environment()).returncode
         if code != 0:
             raise ConfigError(f"{record.command} ended with exit code {code}: {_REMEDY}.")
-        name = "benchmark.json" if definition.reads == "benchmark" else "summary.json"
-        found = sorted(Path(scratch).rglob(name))
-        if len(found) != 1:
-            raise ConfigError(f"{record.command} wrote {len(found)} {name} instead of one: {_REMEDY}.")
         if definition.reads == "benchmark":
-            told = read_json(found[0], _REMEDY)
+            told = read_json(find_written(Path(scratch), "benchmark.json", record.command), _REMEDY)
             rows = _merge(record.rows, _benchmark_rows(told["rows"]))
         else:
-            told = read_document(found[0], Summary, _REMEDY).model_dump()
+            told = read_summary(Path(scratch), record.command)
             rows = [read_success(row, told) for row in record.rows]
     return Record(
         command=record.command,
@@ -121,6 +117,19 @@ def read_success(row: Mapping[str, Any], summary: Mapping[str, Any]) -> dict[str
     return kept | {name: told[name] for name in _SUCCESS if name in told}
 
 
+def read_summary(folder: Path, command: str) -> dict[str, Any]:
+    """The one summary.json below a folder that a command wrote; ConfigError where there is not one."""
+    return read_document(find_written(folder, "summary.json", command), Summary, _REMEDY).model_dump()
+
+
+def find_written(folder: Path, name: str, command: str) -> Path:
+    """The one file of this name below a folder that a command wrote; ConfigError where there is not one."""
+    found = sorted(folder.rglob(name))
+    if len(found) != 1:
+        raise ConfigError(f"{command} wrote {len(found)} {name} instead of one: {_REMEDY}.")
+    return found[0]
+
+
 def tell_machine(hardware: Mapping[str, Any]) -> str:
     """The machine of a summary in words.
 
@@ -139,11 +148,11 @@ def _choose(table: Table, only: Sequence[str] | None) -> list[str]:
         commands = "\n".join(dict.fromkeys(record.command for record in table.records.values()))
         raise ConfigError(f"{table.name} is not made by its commands alone; these gave it:\n{commands}")
     for each in chosen:
-        _python_command(table.records[each].command)
+        python_command(table.records[each].command)
     return chosen
 
 
-def _python_command(command: str) -> list[str]:
+def python_command(command: str) -> list[str]:
     """A recipe's or benchmark's command with this Python; nothing else is run, and no shell reads it."""
     words = [] if command == NOT_RECORDED else shlex.split(command)
     script = words[1] if len(words) > 1 else ""
@@ -156,7 +165,8 @@ def _python_command(command: str) -> list[str]:
     return [sys.executable, *words[1:]]
 
 
-def _environment() -> dict[str, str]:
+def environment() -> dict[str, str]:
+    """Of a command: it imports this checkout."""
     return {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
@@ -171,7 +181,8 @@ def _merge(old: Sequence[Mapping[str, Any]], new: Sequence[Mapping[str, Any]]) -
     return [labels.get(row.get("name"), {}) | dict(row) for row in new]
 
 
-def _write(table: Table, name: str, record: Record, folder: Path) -> None:
+def write_record(table: Table, name: str, record: Record, folder: Path) -> None:
+    """Write a record where its table keeps it."""
     written = record.model_dump(exclude_defaults=True)
     if table.definition.source is None:
         write_json_atomically(record_path(table.name, name, folder), written)
@@ -182,6 +193,7 @@ def _write(table: Table, name: str, record: Record, folder: Path) -> None:
     write_json_atomically(path, whole)
 
 
-def _check_committed() -> None:
-    if changed := run_git("status", "--porcelain", "--", *_CODE):
+def check_committed() -> None:
+    """ConfigError where code is not committed: results belong to a commit."""
+    if changed := run_git("status", "--porcelain", "--", *CODE):
         raise ConfigError(f"Results belong to a commit: commit these first, or undo them: {changed}")

@@ -15,53 +15,22 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
+from result_differences import Pairs, difference_rows
+from result_plans import Plan, planned_row, planned_rows, record_seeds, records_of
+from result_records import NOT_RECORDED as NOT_RECORDED
+from result_records import RESULTS, ROOT, Record, Words
 
-from torchgrasp.documents import Count, Document, Name, Plain, check_document, read_document, read_json
+from torchgrasp.documents import Document, Name, Plain, check_document, read_document, read_json
 from torchgrasp.errors import ConfigError
 
-ROOT = Path(__file__).parents[2]
-RESULTS = Path(__file__).parent
-NOT_RECORDED = "not recorded"
 _REMEDY = "docs/benchmarks.md tells how a table and a record look"
-_Words = Annotated[str, Field(min_length=1, max_length=4000)]
-
-
-class Record(Document):
-    """What one command gave.
-
-    Attributes:
-        command: as it is typed in a checkout, `<run>` and `<folder>` for what it needs beside it.
-        commit: short hash of the version that gave the figures.
-        commit_is: "measured" where that version gave them; "recorded" where only the commit is known that
-            wrote them down, and the version that gave them is that one or an earlier one.
-        seed: of the run, or of its training; None where it was not written down or there are several.
-        machine: in words.
-        versions: of torchgrasp, and of what else is known.
-        recorded: "run" where a run's own file was read, "page" where the figures come from a page's text.
-        needs: other commands that the figures took: those that made what `<run>` and `<folder>` stand for,
-            or what is compared with.
-        note: what else must be known to read the figures, in parts that `; ` divides: the line below a
-            table shows them.
-        rows: the values.
-    """
-
-    command: _Words
-    commit: Annotated[str, Field(pattern=r"^[0-9a-f]{7,40}$")]
-    commit_is: Literal["measured", "recorded"] = "measured"
-    seed: Count | None = None
-    machine: _Words
-    versions: Annotated[dict[Name, Name], Field(min_length=1)]
-    recorded: Literal["run", "page"]
-    needs: list[_Words] = Field([])
-    note: Name = ""
-    rows: Annotated[list[Plain], Field(min_length=1)]
 
 
 class Column(Document):
     """One column: its heading, and the template of its cells."""
 
     name: Name
-    cell: _Words
+    cell: Words
 
 
 class Definition(Document):
@@ -75,21 +44,26 @@ class Definition(Document):
         source: a JSON file below the repository whose `results` hold the records by name.
         rows: where the table is no plain list of its records' rows: mappings of values, in which
             "@table/record" stands for that record's first row, "@table/record#3" for its fourth and
-            "@table/record.name" for a mapping of it. Under the name "*" its values stand in the row.
+            "@table/record.name" for a mapping of it. Under the name "*" its values stand in the row. Of a
+            table with a plan, runs stand in place of records.
         reads: what of a command's output makes the rows. "summary": the success of summary.json, in the row
             or in the one mapping of it that holds a success; where that has an `of`, the success of this
             name in the summary's `comparison`. "benchmark": the rows of benchmark.json as they are. None:
             `run` cannot make the table again.
+        plan: the runs that give records and rows, in place of `records`: there may be none of them yet.
+        compares: the rows of a planned table whose differences are the rows.
         origin: whether a line below the table tells commits and machines.
     """
 
-    title: _Words
+    title: Words
     columns: Annotated[list[Column], Field(min_length=1)]
     key: Name | None = None
     records: list[Name] = Field([])
     source: Name | None = None
     rows: list[Plain] = Field([])
     reads: Literal["summary", "benchmark"] | None = None
+    plan: Plan | None = None
+    compares: Pairs | None = None
     origin: bool = True
 
 
@@ -113,11 +87,14 @@ def read_table(name: str, folder: Path = RESULTS) -> Table:
         raise ConfigError(f"{name} is no table: choose from {', '.join(table_names(folder))}.")
     definition = read_document(folder / name / "table.json", Definition, _REMEDY, error=ConfigError)
     if definition.source is None:
+        names = definition.records
         there = {path.stem for path in (folder / name).glob("*.json")} - {"table"}
-        if there != set(definition.records):
-            wrong = ", ".join(sorted(there ^ set(definition.records)))
+        if definition.plan is not None:  # what was not run yet has no record
+            names = [each for each in record_seeds(definition.plan) if each in there]
+        if there != set(names):
+            wrong = ", ".join(sorted(there ^ set(names)))
             raise ConfigError(f"{name}/table.json and its folder do not agree on the records {wrong}.")
-        values = {each: read_json(record_path(name, each, folder), _REMEDY) for each in definition.records}
+        values = {each: read_json(record_path(name, each, folder), _REMEDY) for each in names}
     else:
         source = read_json(ROOT / definition.source, _REMEDY)["results"]
         values = {each: source[each] for each in definition.records}
@@ -134,7 +111,12 @@ def record_path(table: str, record: str, folder: Path = RESULTS) -> Path:
 
 
 def table_rows(table: Table, folder: Path = RESULTS) -> list[dict[str, Any]]:
-    """The rows in order: those of its records, joined by `key`, or those that it takes from other tables."""
+    """The rows in order: those of its records, joined by `key`, of its plan, or those of other tables."""
+    if table.definition.plan is not None:
+        return planned_rows(table.definition.plan, table.records)
+    if table.definition.compares is not None:
+        compared = read_planned(table.definition.compares.table, folder)
+        return difference_rows(table.definition.compares, *compared)
     given = [_resolve(row, folder) for row in table.definition.rows]
     rows = given or [dict(row) for record in table.records.values() for row in record.rows]
     if table.definition.key is None:
@@ -151,9 +133,16 @@ def shown_records(table: Table, folder: Path = RESULTS) -> dict[str, Record]:
     for row in table.definition.rows:
         for value in row.values():
             if isinstance(value, str) and value.startswith("@"):
-                place = re.split(r"[#.]", value[1:])[0]
-                found[place] = find_record(place, folder)
+                found |= _find_records(re.split(r"[#.]", value[1:])[0], folder)
     return found
+
+
+def read_planned(name: str, folder: Path = RESULTS) -> tuple[Plan, Mapping[str, Record]]:
+    """The plan and the records of a table; ConfigError where it has no plan."""
+    table = read_table(name, folder)
+    if table.definition.plan is None:
+        raise ConfigError(f"{name}/table.json has no plan, whose rows could be compared.")
+    return table.definition.plan, table.records
 
 
 def find_record(place: str, folder: Path = RESULTS) -> Record:
@@ -166,17 +155,38 @@ def find_record(place: str, folder: Path = RESULTS) -> Record:
 
 
 def find_row(place: str, folder: Path = RESULTS) -> dict[str, Any]:
-    """The row of "table/record", of "table/record#2" its third, of "table/record.name" that mapping of it."""
+    """The row of "table/record", of "table/record#2" its third, of "table/record.name" that mapping of it.
+
+    Of a table with a plan, "table/run" is the row of all of the run's seeds.
+    """
     whole, _, name = place.partition(".")
-    record, _, index = whole.partition("#")
-    rows = find_record(record, folder).rows
-    number = int(index or 0)
-    if number >= len(rows):
-        raise ConfigError(f"{place}: the record has {len(rows)} rows, counted from 0.")
-    found = rows[number] if not name else rows[number].get(name)
+    row = _find_whole_row(whole, folder)
+    found = row if not name else row.get(name)
     if not isinstance(found, dict):
         raise ConfigError(f"{place}: the row has no mapping {name}.")
     return found
+
+
+def _find_whole_row(place: str, folder: Path) -> dict[str, Any]:
+    record, _, index = place.partition("#")
+    table, _, run = place.partition("/")
+    definition = read_table(table, folder).definition
+    if definition.plan is not None:
+        return planned_row(definition.plan, run, read_table(table, folder).records)
+    rows, number = find_record(record, folder).rows, int(index or 0)
+    if number >= len(rows):
+        raise ConfigError(f"{place}: the record has {len(rows)} rows, counted from 0.")
+    return rows[number]
+
+
+def _find_records(place: str, folder: Path) -> dict[str, Record]:
+    """The record of "table/record", or those of "table/run", by their places."""
+    table, _, run = place.partition("/")
+    read = read_table(table, folder)
+    if read.definition.plan is None:
+        return {place: find_record(place, folder)}
+    chosen = records_of(read.definition.plan, run, read.records)
+    return {f"{table}/{run}_{seed}": record for seed, record in chosen.items()}
 
 
 def _resolve(row: Mapping[str, Any], folder: Path) -> dict[str, Any]:
@@ -211,10 +221,15 @@ class _Cell(string.Formatter):
         if format_spec in ("ci", "to"):
             low, high = (f"{100 * end:.1f}" for end in value)
             return f"[{low}, {high}]" if format_spec == "ci" else f"{low} to {high}"
-        if format_spec == "rates":
-            return ", ".join(f"{100 * each:.1f}" for each in value)
+        if format_spec in ("rates", "sets"):
+            told = ["-" if each is None else f"{100 * each:.1f}" for each in value]
+            return (", " if format_spec == "rates" else " / ").join(told)
         if format_spec == "mean":
             return f"{100 * sum(value) / len(value):.1f}"
+        if format_spec == "points":
+            return " / ".join("-" if each is None else f"{each:+.1f}" for each in value)
+        if format_spec.startswith("average"):
+            return format(sum(value) / len(value), format_spec.removeprefix("average"))
         if format_spec == "success":
             return show("{success_rate:pct} {success_ci95:ci}", value)
         return format(value, format_spec)
@@ -224,8 +239,9 @@ def show(template: str, row: Mapping[str, Any]) -> str:
     """A template filled from a row; empty where the row lacks a value of it.
 
     Fields are dotted names, formatted as in Python (`{milliseconds:,.0f}`) or by these words: `pct` (0.955 is
-    95.5 %, `pct0` without decimals), `rate` (the same without the sign), `rates` and `mean` (of a list), `ci`
-    (an interval of rates as [93.0, 97.1]), `to` (as 93.0 to 97.1), `success` (rate and interval of a
+    95.5 %, `pct0` without decimals), `rate` (the same without the sign), `rates` and `mean` (of a list),
+    `sets` (73.6 / 65.6, - where one is not known), `points` (+3.1 / -, of differences in points),
+    `average.3f` (the mean of any values, in Python's format), `ci` (an interval of rates as [93.0, 97.1]), `to` (as 93.0 to 97.1), `success` (rate and interval of a
     success table), `ms` (seconds in milliseconds, `ms1` with a decimal), `minutes` (seconds in minutes).
 
     >>> show("{now.success_rate:pct} {now.success_ci95:ci}, {x:.2f} m", {"x": 1, "now": {"success_rate": 0.5,

@@ -19,8 +19,12 @@ def _lines():
     """Every line of a page's bash blocks, and every record's command."""
     for block in (block for page in _PAGES for block in _FENCE.findall(page.read_text())):
         yield from block.replace("\\\n", " ").splitlines()
-    for record in (record for name in table_names() for record in read_table(name).records.values()):
-        yield from (record.command, *record.needs)
+    for table in map(read_table, table_names()):
+        for record in table.records.values():
+            yield from (record.command, *record.needs)
+        if (plan := table.definition.plan) is not None:
+            yield from plan.folders.values()
+            yield from (run.command for run in plan.runs.values())
 
 
 def _commands():
