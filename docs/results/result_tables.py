@@ -241,8 +241,9 @@ def show(template: str, row: Mapping[str, Any]) -> str:
     Fields are dotted names, formatted as in Python (`{milliseconds:,.0f}`) or by these words: `pct` (0.955 is
     95.5 %, `pct0` without decimals), `rate` (the same without the sign), `rates` and `mean` (of a list),
     `sets` (73.6 / 65.6, - where one is not known), `points` (+3.1 / -, of differences in points),
-    `average.3f` (the mean of any values, in Python's format), `ci` (an interval of rates as [93.0, 97.1]), `to` (as 93.0 to 97.1), `success` (rate and interval of a
-    success table), `ms` (seconds in milliseconds, `ms1` with a decimal), `minutes` (seconds in minutes).
+    `average.3f` (the mean of any values, in Python's format), `ci` (an interval of rates as [93.0, 97.1]),
+    `to` (as 93.0 to 97.1), `success` (rate and interval of a success table), `ms` (seconds in milliseconds,
+    `ms1` with a decimal), `minutes` (seconds in minutes).
 
     >>> show("{now.success_rate:pct} {now.success_ci95:ci}, {x:.2f} m", {"x": 1, "now": {"success_rate": 0.5,
     ...     "success_ci95": [0.25, 0.75]}})
