@@ -10,7 +10,9 @@ HELP = "average the weights of policies that were trained on from one another, o
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The policies, and where their mean goes."""
-    parser.add_argument("policies", nargs="+", help="run directories, weights files or pretrained; two or more")
+    parser.add_argument(
+        "policies", nargs="+", help="two or more run directories, weights files or pretrained"
+    )
     parser.add_argument("--output", default="policy.safetensors", help="the weights file to write")
 
 

@@ -1,4 +1,4 @@
-"""One policy of several: the mean of their weights, where one was trained from another or all from one start."""
+"""One policy of several that were trained on from one another, or from one start: the mean of weights."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
     (first, config), others = loaded[0], [states for states, _ in loaded[1:]]
     names = [name for name in first if all(name in states for states in others)]
     if not names:
-        raise ConfigError(f"{paths[0]} and the others have no network in common: give policies of one recipe.")
+        raise ConfigError(f"{paths[0]} and the others have no network in common: give policies alike.")
     means: dict[str, dict[str, Tensor]] = {}
     for name in names:
         for path, states in zip(paths[1:], others, strict=True):
@@ -58,8 +58,8 @@ def _check_alike(
     differing = sorted(key for key in {*one, *other} if one.get(key) != other.get(key))
     if differing:
         raise ConfigError(
-            f"The {name} of {path} is built otherwise than that of {our_path} ({differing[0]} is the first of "
-            f"{len(differing)} differences): give policies that were trained on from one another."
+            f"The {name} of {path} is built otherwise than that of {our_path} ({differing[0]} is the first "
+            f"of {len(differing)} differences): give policies that were trained on from one another."
         )
 
 
