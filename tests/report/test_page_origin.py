@@ -47,7 +47,8 @@ def viewer():
 def receive(viewer: EpisodeViewer, origin: str | None) -> bytes | str:
     address = viewer.address.replace("http", "ws")
     protocols = [f"viser-v{viser.__version__}"]
-    with connect(address, subprotocols=protocols, origin=origin) as client:  # pyright: ignore
+    # The first message holds the robot's meshes, more than this client takes by default.
+    with connect(address, subprotocols=protocols, origin=origin, max_size=None) as client:  # pyright: ignore
         return client.recv(timeout=10)
 
 
