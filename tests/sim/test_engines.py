@@ -7,6 +7,7 @@ import pytest
 
 from torchgrasp.errors import ConfigError
 from torchgrasp.sim import MujocoEngine, SapienEngine, make_engine
+from torchgrasp.sim.engines import describe_engine
 
 
 def test_engines_are_chosen_by_name_or_given():
@@ -20,6 +21,12 @@ def test_engines_are_chosen_by_name_or_given():
 def test_what_is_no_engine_is_refused(wrong):
     with pytest.raises(ConfigError, match=r"^engine=.*sapien or mujoco"):
         make_engine(wrong)
+
+
+@pytest.mark.parametrize("wrong", ["mujoco", 3, ["torchgrasp.sim.MujocoEngine"]])
+def test_what_describes_no_engine_is_refused(wrong):
+    with pytest.raises(ConfigError, match=r"^engine=.* is no engine's configuration"):
+        describe_engine(wrong)
 
 
 def test_without_mujoco_the_extra_is_named_and_the_other_engine_works():

@@ -35,6 +35,12 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
         raise ConfigError("There is nothing to average in one policy: give two or more.")
     loaded = [load_weights(path) for path in paths]
     (first, config), others = loaded[0], [states for states, _ in loaded[1:]]
+    for path, (_, theirs) in zip(paths[1:], loaded[1:], strict=True):
+        if config.get("num_points") != theirs.get("num_points"):
+            raise ConfigError(
+                f"{path} reads {theirs.get('num_points')} points, {paths[0]} {config.get('num_points')}: "
+                "give policies that were trained on from one another."
+            )
     names = [name for name in first if all(name in states for states in others)]
     if not names:
         raise ConfigError(f"{paths[0]} and the others have no network in common: give policies alike.")

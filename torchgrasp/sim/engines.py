@@ -38,10 +38,13 @@ def describe_engine(told: Mapping[str, Any] | None) -> dict[str, Any]:
 
     Options that are left out have their defaults, pairs are lists, and None is SAPIEN's, the engine of
     configurations that name none. A class that is not ours keeps the options that are told.
+    ConfigError tells what is no mapping.
 
     >>> describe_engine({"_target_": "torchgrasp.sim.MujocoEngine", "impedance": (0.9, 0.99)})["impedance"]
     [0.9, 0.99]
     """
+    if told is not None and not isinstance(told, Mapping):
+        raise ConfigError(f"engine={told!r} is no engine's configuration: give its _target_ and options.")
     told = dict(told or {"_target_": f"{_OURS}{SapienEngine.__name__}"})
     target = str(told.pop("_target_", ""))
     kinds = {kind.__name__: kind for kind in _ENGINES.values()} if target.startswith(_OURS) else {}

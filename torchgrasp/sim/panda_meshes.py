@@ -126,7 +126,6 @@ def _triangles(mesh: trimesh.Trimesh) -> NDArray:
 def _part(colour: Colour, triangles: NDArray) -> Part:
     corners = triangles.reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
-    visual = mesh_visual(
-        corners, faces, repeats=0.0, both_sides=False
-    )  # the links are closed: nobody looks in
+    # The links are closed: nobody looks in.
+    visual = mesh_visual(corners, faces, repeats=0.0, both_sides=False)
     return Part(visual, colour, roughness=0.5, specular=0.4)

@@ -197,14 +197,14 @@ _process: int | None = None
 def render_scene(look: RobotLook) -> RenderScene:
     """The scene of this process in which the robot looks so, built at the first call."""
     global _process
-    _process = _process or os.getpid()
-    if _process != os.getpid():
+    if _scenes and _process != os.getpid():
         raise RenderError(
             "A process that has rendered was forked, and its renderer does not survive that: start the "
             "workers by 'spawn' (ParallelEnv(..., mp_start_method='spawn')), or render in them alone."
         )
     if look.name not in _scenes:
         _scenes[look.name] = RenderScene(look)
+        _process = os.getpid()
     return _scenes[look.name]
 
 
