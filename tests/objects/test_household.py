@@ -136,6 +136,21 @@ def test_the_configured_set_holds_every_family_and_the_mixture_half_of_them():
     assert shares == pytest.approx((0.25, 0.5, 0.25), abs=0.06)
 
 
+@pytest.mark.pybullet
+@pytest.mark.parametrize(
+    ("given", "numbers"),
+    [
+        ([], (320, 320, 320)),
+        (["objects.sets.household.num_objects=1500"], (320, 1500, 320)),
+        (["objects.num_objects=9"], (9, 9, 9)),
+    ],
+)
+def test_each_set_of_a_mixture_has_its_own_number_unless_all_are_given_one(given, numbers):
+    varied = make_objects(compose_config("objects=varied", *given), "train")
+    members = [name.split("/")[0] for name in varied.names]
+    assert tuple(members.count(name) for name in ("procedural", "household", "random_urdfs")) == numbers
+
+
 def test_a_loft_between_circles_is_a_cone_by_hand():
     cone = loft([Section(0.0, (0.02, 0.02)), Section(0.06, (0.01, 0.01))])
     volume, centre = mass_properties(cone.parts)
