@@ -13,6 +13,7 @@ from torchgrasp.runs.weights import load_weights, save_weights
 
 # What a run's own configuration says of files: of no meaning for those who get the weights.
 _OF_ONE_RUN = {"resume": None, "init": None, "output_dir": "outputs"}
+_REMEDY = "give policies that were trained on from one another."
 
 
 def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
@@ -20,7 +21,7 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
 
     Networks that were trained on from the same weights lie in one basin: the mean of their weights often
     does better than each of them and costs no more than one (Wortsman et al. 2022, "Model soups"). The mean
-    of networks from different beginnings does nothing. Networks that not all files hold are left out; the
+    of networks from different beginnings is of no use. Networks that not all files hold are left out; the
     configuration is that of the first file, without what it says of its run.
 
     Args:
@@ -28,30 +29,30 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
         output: the file to write, whole or not at all.
 
     Raises:
-        ConfigError: for less than two files, or networks of different shapes.
+        ConfigError: for less than two files, or networks of different shapes or numbers of points.
         CheckpointError: where a file cannot be read.
     """
     if len(paths) < 2:
         raise ConfigError("There is nothing to average in one policy: give two or more.")
-    loaded = [load_weights(path) for path in paths]
-    (first, config), others = loaded[0], [states for states, _ in loaded[1:]]
-    for path, (_, theirs) in zip(paths[1:], loaded[1:], strict=True):
+    (first, config), *others = [load_weights(path) for path in paths]
+    names = [name for name in first if all(name in states for states, _ in others)]
+    if not names:
+        raise ConfigError(f"{paths[0]} and the others have no network in common: give policies alike.")
+    for path, (states, theirs) in zip(paths[1:], others, strict=True):
         if config.get("num_points") != theirs.get("num_points"):
             raise ConfigError(
                 f"{path} reads {theirs.get('num_points')} points, {paths[0]} {config.get('num_points')}: "
-                "give policies that were trained on from one another."
+                f"{_REMEDY}"
             )
-    names = [name for name in first if all(name in states for states in others)]
-    if not names:
-        raise ConfigError(f"{paths[0]} and the others have no network in common: give policies alike.")
-    means: dict[str, dict[str, Tensor]] = {}
-    for name in names:
-        for path, states in zip(paths[1:], others, strict=True):
+        for name in names:
             _check_alike(name, first[name], states[name], paths[0], path)
-        means[name] = {
-            key: _mean([value, *(states[name][key] for states in others)])
+    means = {
+        name: {
+            key: _mean([value, *(states[name][key] for states, _ in others)])
             for key, value in first[name].items()
         }
+        for name in names
+    }
     save_weights(output, means, config | {key: value for key, value in _OF_ONE_RUN.items() if key in config})
     return names
 
@@ -59,13 +60,12 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
 def _check_alike(
     name: str, ours: dict[str, Tensor], theirs: dict[str, Tensor], our_path: Path, path: Path
 ) -> None:
-    shapes = ({key: (value.shape, value.dtype) for key, value in each.items()} for each in (ours, theirs))
-    one, other = shapes
+    one, other = ({key: (value.shape, value.dtype) for key, value in each.items()} for each in (ours, theirs))
     differing = sorted(key for key in {*one, *other} if one.get(key) != other.get(key))
     if differing:
         raise ConfigError(
             f"The {name} of {path} is built otherwise than that of {our_path} ({differing[0]} is the first "
-            f"of {len(differing)} differences): give policies that were trained on from one another."
+            f"of {len(differing)} differences): {_REMEDY}"
         )
 
 
