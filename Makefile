@@ -17,7 +17,7 @@ test: $(VENV)/.installed-dev  ## tests, doctests and examples (choose: make test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 wheel-tests:  ## the tests against the wheel alone (choose: make wheel-tests PYTHON=python3.12 TESTS=tests/data)
-	.ci/wheel_tests $(PYTHON) $(TESTS) $(ARGS)
+	.ci/wheel_tests $(PYTHON) $(or $(TESTS),tests --pyargs torchgrasp) $(ARGS)
 
 proofs: $(VENV)/.installed-dev  ## the slow tests: whole runs that are killed, on Ray, in sweeps
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -m slow $(or $(TESTS),tests) $(ARGS)
