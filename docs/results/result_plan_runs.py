@@ -119,6 +119,7 @@ class PlanRunner:
     def _start(self, task: Task) -> _Started:
         place = self.kept / task.name
         if task.run is not None:  # of a run that was stopped
+            _command_file(self.kept, task.name).unlink(missing_ok=True)
             shutil.rmtree(place, ignore_errors=True)
         names = find_names(task.command)
         command = task.command
@@ -150,6 +151,7 @@ class PlanRunner:
         try:
             if code := started.process.returncode:
                 raise ConfigError(f"exit code {code}: see {started.log.name}")
+            _command_file(self.kept, task.name).write_text(task.command)
             if task.run is not None:
                 record = self._read(task.run, task.seed, read_summary(self.kept / task.name, task.command))
                 write_record(self.table, task.name, record, self.folder)
@@ -225,7 +227,7 @@ def list_tasks(plan: Plan, records: Sequence[str], kept: Path) -> dict[str, Task
     """The tasks that give these records, each after those that it needs.
 
     Folders are always among them, because a collection that is whole ends at once. A run that is needed is
-    among them unless its directory is kept.
+    among them unless its directory is kept, of the command that the plan has now.
     """
     tasks: dict[str, Task] = {}
     for record in records:
@@ -263,10 +265,20 @@ def _add(tasks: dict[str, Task], plan: Plan, run: str, seed: int, kept: Path, re
         if name in plan.folders:
             tasks.setdefault(name, Task(name, plan.folders[name]))
             needs.append(name)
-        elif (record := f"{name}_{seed}") in records or not any((kept / record).rglob("summary.json")):
+        elif (record := f"{name}_{seed}") in records or not _is_kept(kept, record, seeded(plan, name, seed)):
             _add(tasks, plan, name, seed, kept, records)
             needs.append(record)
     tasks.setdefault(f"{run}_{seed}", Task(f"{run}_{seed}", command, tuple(needs), run, seed))
+
+
+def _command_file(kept: Path, task: str) -> Path:
+    """Where the command of a task that has ended is kept, beside its directory."""
+    return kept / f"{task}.command"
+
+
+def _is_kept(kept: Path, record: str, command: str) -> bool:
+    file = _command_file(kept, record)
+    return file.exists() and file.read_text() == command and any((kept / record).rglob("summary.json"))
 
 
 def _is_there(table: Table, plan: Plan, name: str) -> bool:

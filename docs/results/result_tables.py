@@ -129,7 +129,10 @@ def table_rows(table: Table, folder: Path = RESULTS) -> list[dict[str, Any]]:
 
 def shown_records(table: Table, folder: Path = RESULTS) -> dict[str, Record]:
     """The records that a table shows, its own and those of other tables, by table/record."""
-    found = {f"{table.name}/{name}": record for name, record in table.records.items()}
+    own, plan = table.records, table.definition.plan
+    if plan is not None:  # what was run hides what a page told
+        own = {f"{run}_{seed}": each for run in plan.runs for seed, each in records_of(plan, run, own).items()}
+    found = {f"{table.name}/{name}": record for name, record in own.items()}
     for row in table.definition.rows:
         for value in row.values():
             if isinstance(value, str) and value.startswith("@"):

@@ -65,7 +65,9 @@ def test_rows_gather_the_seeds_of_a_run_and_lack_what_was_not_run(tmp_path):
 
 def test_what_was_run_replaces_what_a_page_told(tmp_path):
     write_plan(tmp_path, taught_0=record(0.25), taught_1=record(0.75, recorded="run"))
-    assert table_rows(read_table("one", tmp_path))[0]["seeds"] == [1]
+    table = read_table("one", tmp_path)
+    assert table_rows(table)[0]["seeds"] == [1]
+    assert list(shown_records(table, tmp_path)) == ["one/taught_1"]
 
 
 def test_records_of_no_run_or_seed_are_refused(tmp_path):
@@ -133,7 +135,10 @@ def test_what_a_run_needs_is_run_before_it_once(tmp_path):
     assert tasks["taught_1"].needs == ("demos",) and tasks["tested_1"].needs == ("taught_1",)
     (tmp_path / "taught_1").mkdir()
     (tmp_path / "taught_1" / "summary.json").write_text("")  # it is kept, and not asked for
+    (tmp_path / "taught_1.command").write_text(f"{TRAIN} seed=1")
     assert list(list_tasks(plan, ["tested_1"], tmp_path)) == ["tested_1"]
+    (tmp_path / "taught_1.command").write_text(f"{TRAIN} pretrain.steps=9 seed=1")  # of an earlier plan
+    assert list(list_tasks(plan, ["tested_1"], tmp_path)) == ["demos", "taught_1", "tested_1"]
     assert find_commands(plan, "tested", 1) == [COLLECT, f"{TRAIN} seed=1"]
     with pytest.raises(ConfigError, match="one is no run: choose from taught, tested"):
         choose_records(plan, ["one"])
