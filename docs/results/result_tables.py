@@ -131,7 +131,8 @@ def shown_records(table: Table, folder: Path = RESULTS) -> dict[str, Record]:
     """The records that a table shows, its own and those of other tables, by table/record."""
     own, plan = table.records, table.definition.plan
     if plan is not None:  # what was run hides what a page told
-        own = {f"{run}_{seed}": each for run in plan.runs for seed, each in records_of(plan, run, own).items()}
+        chosen = {run: records_of(plan, run, table.records) for run in plan.runs}
+        own = {f"{run}_{seed}": each for run, those in chosen.items() for seed, each in those.items()}
     found = {f"{table.name}/{name}": record for name, record in own.items()}
     for row in table.definition.rows:
         for value in row.values():
