@@ -5,7 +5,7 @@ import torch
 
 import torchgrasp
 from torchgrasp.commands.command_line import main
-from torchgrasp.runs.weights import PRETRAINED, load_weights
+from torchgrasp.runs.weights import PRETRAINED, load_weights, save_weights
 
 
 def test_the_mean_of_a_policy_with_itself_is_that_policy(tmp_path, capsys):
@@ -15,6 +15,16 @@ def test_the_mean_of_a_policy_with_itself_is_that_policy(tmp_path, capsys):
     mean, itself = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
     assert all(torch.equal(mean[key], value) for key, value in itself.items())
     torchgrasp.load_policy(str(output))
+
+
+def test_policies_that_see_otherwise_are_refused(tmp_path, capsys):
+    states, config = load_weights(PRETRAINED)
+    config["transforms"]["sample"]["num_points"] = 512
+    other, output = tmp_path / "other.safetensors", tmp_path / "mean.safetensors"
+    save_weights(other, states, config)
+    assert main(["average", "pretrained", str(other), "--output", str(output)]) == 1
+    assert f"{other} learned with another transforms than {PRETRAINED}" in capsys.readouterr().err
+    assert not output.exists()
 
 
 @pytest.mark.parametrize(

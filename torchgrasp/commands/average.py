@@ -23,6 +23,26 @@ def run(args: argparse.Namespace) -> int:
 
     for name in args.policies:
         check_weights("policy", name)
-    names = average_weights([weights_file(Path(name)) for name in args.policies], Path(args.output))
+    files = [weights_file(Path(name)) for name in args.policies]
+    _check_same_task(files)
+    names = average_weights(files, Path(args.output))
     print(f"Written to {args.output}: {', '.join(names)} of {len(args.policies)} policies")
     return 0
+
+
+def _check_same_task(files: list[Path]) -> None:
+    """Refuse policies that see or move otherwise than the first."""
+    from torchgrasp.config.provenance import find_differing
+    from torchgrasp.errors import ConfigError
+    from torchgrasp.runs import load_weights
+
+    configs = [load_weights(file)[1] for file in files]
+    first, *others = [
+        {**each, **env} if isinstance(env := each.get("env"), dict) else each for each in configs
+    ]
+    for file, theirs in zip(files[1:], others, strict=True):
+        if differing := find_differing(first, theirs):
+            raise ConfigError(
+                f"{file} learned with another {', '.join(differing)} than {files[0]}: "
+                "average policies that see and move alike."
+            )

@@ -78,13 +78,17 @@ def check_learner(cfg: DictConfig) -> None:
     """Refuse a `demonstrations.policy` that learned from other observations than those configured."""
     policy = Path(str(cfg.demonstrations.policy))
     brought = read_trained(policy, cfg.trust).config
-    ours, theirs = name_lenses(describe_provenance(cfg)), {**brought, **brought.get("env", {})}
-    names = [name for name in _SHARED if name in theirs]
-    differing = [name for name in names if _unseeded(theirs[name]) != _unseeded(ours[name])]
-    if differing:
+    if differing := find_differing(describe_provenance(cfg), {**brought, **brought.get("env", {})}):
         raise ConfigError(
             f"demonstrations.policy={policy} learned with another {', '.join(differing)}: configure it alike."
         )
+
+
+def find_differing(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
+    """What of observations, actions and horizon two configurations tell otherwise, seeds apart, by name."""
+    ours, theirs = name_lenses(ours), name_lenses(theirs)
+    names = [name for name in _SHARED if name in theirs and name in ours]
+    return [name for name in names if _unseeded(theirs[name]) != _unseeded(ours[name])]
 
 
 def _unseeded(value: Any) -> Any:

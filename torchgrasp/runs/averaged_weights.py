@@ -29,7 +29,7 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
         output: the file to write, whole or not at all.
 
     Raises:
-        ConfigError: for less than two files, or networks of different shapes or numbers of points.
+        ConfigError: for less than two files, or networks of different shapes.
         CheckpointError: where a file cannot be read.
     """
     if len(paths) < 2:
@@ -38,12 +38,7 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
     names = [name for name in first if all(name in states for states, _ in others)]
     if not names:
         raise ConfigError(f"{paths[0]} and the others have no network in common: give policies alike.")
-    for path, (states, theirs) in zip(paths[1:], others, strict=True):
-        if config.get("num_points") != theirs.get("num_points"):
-            raise ConfigError(
-                f"{path} reads {theirs.get('num_points')} points, {paths[0]} {config.get('num_points')}: "
-                f"{_REMEDY}"
-            )
+    for path, (states, _) in zip(paths[1:], others, strict=True):
         for name in names:
             _check_alike(name, first[name], states[name], paths[0], path)
     means = {
