@@ -19,7 +19,7 @@ import torchgrasp
 from torchgrasp.config.environments import SplitEnv, make_pool
 from torchgrasp.errors import ConfigError
 from torchgrasp.objects import FolderObjects
-from torchgrasp.rollouts import machines
+from torchgrasp.rollouts import machines, remote_runner
 from torchgrasp.rollouts.ray_pool import import_ray
 
 FOUND = Path(torchgrasp.__file__).parents[1]
@@ -39,11 +39,14 @@ def ask(tmp_path):
     cloudpickle = import_ray().cloudpickle
 
     def call(function, *args, folders=(), env=None):
-        cloudpickle.register_pickle_by_value(machines)
+        sent = (machines, remote_runner)
+        for module in sent:
+            cloudpickle.register_pickle_by_value(module)
         try:
             packed = cloudpickle.dumps((function, args))
         finally:
-            cloudpickle.unregister_pickle_by_value(machines)
+            for module in sent:
+                cloudpickle.unregister_pickle_by_value(module)
         (tmp_path / "call").write_bytes(packed)
         places = [*map(str, folders), sysconfig.get_path("purelib")]
         command = [sys.executable, "-S", "-c", _ASKED, str(tmp_path / "call"), *places]
@@ -76,6 +79,14 @@ class TestVersions:
     @pytest.mark.checkout  # where it is installed editable, and found only with its finder
     def test_no_torchgrasp(self, ask):
         assert machines.tell_versions(machines.look([]), ask(machines.look, [])) == "no torchgrasp"
+
+    @pytest.mark.checkout  # as above
+    def test_an_actor_begins_without_torchgrasp_so_that_its_machine_can_be_named(self, ask):
+        def begin(runner):
+            actor, found = runner([], b""), machines.look([])
+            return hasattr(actor, "place"), "torchgrasp" in found
+
+        assert ask(begin, remote_runner.RemoteRunner) == (True, False)
 
     def test_another_torchgrasp(self, ask, tmp_path):
         here = machines.look([])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import pickle
 import socket
 import sys
 from collections import Counter
@@ -13,13 +12,12 @@ from contextlib import contextmanager, nullcontext, suppress
 from types import ModuleType
 from typing import Any
 
-import torch
-
 from torchgrasp.errors import ConfigError
 from torchgrasp.interruption import keep_handlers
+from torchgrasp.rollouts import remote_runner
 from torchgrasp.rollouts.episode_pool import MakeEnv, Policy
 from torchgrasp.rollouts.ray_machines import MachineCheck, answers, first_line
-from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool, answer
+from torchgrasp.rollouts.worker_pool import Task, Worker, WorkerLostError, WorkerPool
 
 _LOOK_SECONDS = 2.0  # between two looks at whether an actor has a place
 
@@ -59,6 +57,7 @@ class RayPool(WorkerPool):
     ) -> None:
         super().__init__(envs, num_workers=num_workers, keep=keep, patience=patience)
         self._ray = import_ray()
+        self._ray.cloudpickle.register_pickle_by_value(remote_runner)  # another machine may lack it
         self._machines: MachineCheck | None = None  # this one alone needs none
         self._answered: list[str] = []
         self._owns_ray = not self._ray.is_initialized()
@@ -84,7 +83,7 @@ class RayPool(WorkerPool):
             raise
         # Without max_restarts: of what Ray restarts by itself nobody here is told.
         options = {"num_cpus": num_cpus, "scheduling_strategy": "SPREAD"}
-        self._actor = self._ray.remote(**options)(_RemoteRunner)
+        self._actor = self._ray.remote(**options)(remote_runner.RemoteRunner)
         self._packed = self._ray.cloudpickle.dumps(self._runner)
 
     def _check_room(self, num_workers: int, num_cpus: float) -> None:
@@ -126,7 +125,7 @@ class RayWorker(Worker):
     Args:
         ray: the module.
         index: of the worker in its pool.
-        actor: a `_RemoteRunner`.
+        actor: a `RemoteRunner`.
         machines: tells which ones may run it; None for any.
         answered: the address of its machine is put here with each answer.
     """
@@ -210,21 +209,3 @@ def _check_address(address: str | None) -> None:
     host, _, port = (address or "").rpartition("://")[2].rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host, int(port)), timeout=10).close()
-
-
-class _RemoteRunner:
-    """What an actor is: an EpisodeRunner that was unpickled where this process's modules are found."""
-
-    def __init__(self, path: list[str], runner: bytes) -> None:
-        sys.path += [each for each in path if each not in sys.path]
-        torch.set_num_threads(1)
-        self._runner = pickle.loads(runner)
-
-    def place(self) -> tuple[str, str, int]:
-        """The machine's id and address, and the process."""
-        import ray
-
-        return ray.get_runtime_context().get_node_id(), ray.util.get_node_ip_address(), os.getpid()
-
-    def run(self, env: str, policy: bytes, number: int, explore: bool) -> bytes:
-        return answer(self._runner, Task(env, policy, number, explore))
