@@ -5,6 +5,7 @@ import torch
 
 import torchgrasp
 from torchgrasp.commands.command_line import main
+from torchgrasp.modules import MirroredPolicy
 from torchgrasp.runs.weights import PRETRAINED, load_weights, save_weights
 
 
@@ -15,6 +16,15 @@ def test_the_mean_of_a_policy_with_itself_is_that_policy(tmp_path, capsys):
     mean, itself = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
     assert all(torch.equal(mean[key], value) for key, value in itself.items())
     torchgrasp.load_policy(str(output))
+
+
+def test_one_policy_is_made_to_act_by_its_mean_over_reflections(tmp_path):
+    output = tmp_path / "mirrored.safetensors"
+    assert main(["average", "pretrained", "--mirrored", "--output", str(output)]) == 0
+    policy, itself = torchgrasp.load_policy(str(output)), torchgrasp.load_policy("pretrained")
+    assert isinstance(policy[0], MirroredPolicy) and policy.in_keys == itself.in_keys
+    mean, single = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
+    assert all(torch.equal(mean[key], value) for key, value in single.items())
 
 
 def test_policies_that_see_otherwise_are_refused(tmp_path, capsys):

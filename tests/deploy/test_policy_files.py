@@ -20,8 +20,8 @@ from torchgrasp.config.trained_policy import TrainedPolicy
 from torchgrasp.deploy import runner
 from torchgrasp.deploy.policy_files import describe_policy, export_policy
 from torchgrasp.errors import ConfigError, MissingPackageError, StorageError
-from torchgrasp.modules import GraspActor, PointNet, PointNet2, ResidualPolicy
-from torchgrasp.transforms import PointTransform
+from torchgrasp.modules import GraspActor, MirroredPolicy, PointNet, PointNet2, ResidualPolicy
+from torchgrasp.transforms import PointTransform, RandomMirror
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,13 @@ def compare(file, network, states):
 def test_the_network_is_the_policy_s(exported, states):
     found = compare(exported, policy(), states)
     assert len(states["points"]) >= 100
+    assert found["action"] <= 1e-5 and found["goal_prediction"] <= 5e-5
+
+
+def test_a_policy_of_the_mean_over_reflections_is_exported_whole(states, tmp_path):
+    mirrored = TrainedPolicy(MirroredPolicy(policy()[0], RandomMirror()), config=policy().config)
+    export_policy(mirrored, output=tmp_path / "policy.onnx")
+    found = compare(tmp_path / "policy.onnx", mirrored, states)
     assert found["action"] <= 1e-5 and found["goal_prediction"] <= 5e-5
 
 

@@ -1,4 +1,4 @@
-"""``torchgrasp average``: one policy of several that were trained on from the same start."""
+"""``torchgrasp average``: one policy of several that were trained on from one start, or of reflections."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ HELP = "average the weights of policies that were trained on from one another, o
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The policies, and where their mean goes."""
     parser.add_argument(
-        "policies", nargs="+", help="two or more run directories, weights files or pretrained"
+        "policies", nargs="+", help="run directories, weights files or pretrained; two or more"
+    )
+    parser.add_argument(
+        "--mirrored",
+        action="store_true",
+        help="act by the mean over the hand's reflections as well; one policy is enough then",
     )
     parser.add_argument("--output", default="policy.safetensors", help="the weights file to write")
 
@@ -25,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         check_weights("policy", name)
     files = [weights_file(Path(name)) for name in args.policies]
     _check_same_task(files)
-    names = average_weights(files, Path(args.output))
+    names = average_weights(files, Path(args.output), mirrored=args.mirrored)
     print(f"Written to {args.output}: {', '.join(names)} of {len(args.policies)} policies")
     return 0
 

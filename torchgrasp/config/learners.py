@@ -15,7 +15,7 @@ from torchgrasp import keys
 from torchgrasp.config.acceleration_choice import make_acceleration
 from torchgrasp.config.environments import make_actions
 from torchgrasp.config.kept_features import keep_features
-from torchgrasp.config.networks import begin_networks, load_base, make_networks
+from torchgrasp.config.networks import begin_networks, load_base, make_mirror, make_networks
 from torchgrasp.config.parts import build
 from torchgrasp.config.residual import has_residual, imitation_config, without_residual
 from torchgrasp.config.weights_files import read_trained
@@ -138,7 +138,8 @@ def _make_imitation(
         grasp_prediction.set_keys(goal_prediction=keys.GOAL)
     aux_weight = cfg.pretrain.aux_weight if predicts_goal(actor) else 0.0
     imitation = PoseBCLoss(actor, distance=distance, aux_weight=aux_weight, goal_distance=goal_distance)
-    return {"imitation": imitation, "grasp_prediction": grasp_prediction}
+    mirror = make_mirror(cfg.model)
+    return {"imitation": imitation, "grasp_prediction": grasp_prediction, "mirror": mirror}
 
 
 def _distances(loss: DictConfig) -> tuple[Distance, Distance]:

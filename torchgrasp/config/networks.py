@@ -17,6 +17,7 @@ from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.modules import ACTOR_FEATURE, GivenFeature, ResidualPolicy
 from torchgrasp.modules.goal_keys import reads_goal
+from torchgrasp.transforms import RandomMirror
 
 _NETWORKS = ("actor", "critic", "goal_network")
 
@@ -39,6 +40,11 @@ def make_networks(
     if reads_goal(networks["actor"]):
         networks["goal_network"] = build(model.goal_network)
     return networks
+
+
+def make_mirror(model: Mapping[Any, Any]) -> RandomMirror | None:
+    """What the policy of a model acts by the mean over, None where it acts as it is."""
+    return RandomMirror() if model.get("mirrored") else None
 
 
 def _share_encoder(actor: TensorDictModuleBase) -> dict[str, Any]:

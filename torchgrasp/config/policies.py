@@ -8,7 +8,7 @@ from omegaconf import DictConfig
 from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp.config.environments import make_actions, make_expert, make_objects
-from torchgrasp.config.networks import rebuild_acting
+from torchgrasp.config.networks import make_mirror, rebuild_acting
 from torchgrasp.config.parts import at_place, build
 from torchgrasp.config.weights_files import read_trained
 from torchgrasp.modules.policy import join_policy
@@ -31,7 +31,8 @@ def make_policy(cfg: DictConfig, name: str) -> TensorDictModuleBase:
         return _relay(cfg, name, _make_planning(cfg), make_policy(cfg, str(cfg.learner)))
     if name == "takeover":
         return _relay(cfg, name, make_policy(cfg, str(cfg.learner)), make_expert(cfg, "test"))
-    return join_policy(rebuild_acting(read_trained(Path(name), cfg.trust)))
+    trained = read_trained(Path(name), cfg.trust)
+    return join_policy(rebuild_acting(trained), make_mirror(trained.config["model"]))
 
 
 def _make_planning(cfg: DictConfig) -> OpenLoopPolicy:

@@ -160,6 +160,7 @@ class Model(OpenSection):
     """conf/model."""
 
     table_input: Switch = False
+    mirrored: Switch = False
     residual: Residual | None = None
     actor: Network
     critic: Network
@@ -269,6 +270,7 @@ class BroughtEnv(OpenSection):
 class BroughtModel(OpenSection):
     """Trained networks; imitation has no critic."""
 
+    mirrored: Switch = False
     residual: Residual | None = None
     actor: Parts
     critic: Parts | None = None

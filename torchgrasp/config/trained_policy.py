@@ -13,7 +13,7 @@ from torchrl.envs import TransformedEnv
 
 from torchgrasp.config.environments import make_transforms
 from torchgrasp.config.lenses import describe_lens, follow_cameras
-from torchgrasp.config.networks import rebuild_acting
+from torchgrasp.config.networks import make_mirror, rebuild_acting
 from torchgrasp.config.parts import build
 from torchgrasp.config.weights_files import check_weights, read_trained
 from torchgrasp.envs import GraspEnv, Start, TargetMotion
@@ -72,7 +72,8 @@ def load_policy(
     """
     check_weights("source", str(source))
     trained = read_trained(Path(source), trust)
-    return TrainedPolicy(join_policy(rebuild_acting(trained)), config=trained.config).to(device)
+    policy = join_policy(rebuild_acting(trained), make_mirror(trained.config["model"]))
+    return TrainedPolicy(policy, config=trained.config).to(device)
 
 
 def make_env(

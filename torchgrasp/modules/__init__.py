@@ -10,6 +10,7 @@ from torchgrasp.modules.exploration import DecayingUniformNoise as DecayingUnifo
 from torchgrasp.modules.exploration import ExploringStep as ExploringStep
 from torchgrasp.modules.exploration import NearbyActions as NearbyActions
 from torchgrasp.modules.goal_predictor import GoalPredictor as GoalPredictor
+from torchgrasp.modules.mirrored_policy import MirroredPolicy as MirroredPolicy
 from torchgrasp.modules.pointnet import PointNet as PointNet
 from torchgrasp.modules.pointnet2 import PointNet2 as PointNet2
 from torchgrasp.modules.residual_actor import ACTOR_FEATURE as ACTOR_FEATURE

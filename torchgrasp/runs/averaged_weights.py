@@ -16,7 +16,7 @@ _OF_ONE_RUN = {"resume": None, "init": None, "output_dir": "outputs"}
 _REMEDY = "give policies that were trained on from one another."
 
 
-def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
+def average_weights(paths: Sequence[Path], output: Path, *, mirrored: bool = False) -> list[str]:
     """Write the mean of the weights files `paths` to `output`; returns the names of the networks in it.
 
     Networks that were trained on from the same weights lie in one basin: the mean of their weights often
@@ -27,12 +27,14 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
     Args:
         paths: two files of `save_weights` or more.
         output: the file to write, whole or not at all.
+        mirrored: have the policy act by the mean over reflections as well (`modules.MirroredPolicy`).
+            One file is enough then.
 
     Raises:
         ConfigError: for less than two files, or networks of different shapes.
         CheckpointError: where a file cannot be read.
     """
-    if len(paths) < 2:
+    if len(paths) < 2 and not mirrored:
         raise ConfigError("There is nothing to average in one policy: give two or more.")
     (first, config), *others = [load_weights(path) for path in paths]
     names = [name for name in first if all(name in states for states, _ in others)]
@@ -48,7 +50,10 @@ def average_weights(paths: Sequence[Path], output: Path) -> list[str]:
         }
         for name in names
     }
-    save_weights(output, means, config | {key: value for key, value in _OF_ONE_RUN.items() if key in config})
+    config = config | {key: value for key, value in _OF_ONE_RUN.items() if key in config}
+    if mirrored:
+        config["model"] = {**config.get("model", {}), "mirrored": True}
+    save_weights(output, means, config)
     return names
 
 

@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch.optim import Optimizer
 
 from torchgrasp.errors import check_whole
+from torchgrasp.modules.mirrored_policy import Mirror
 from torchgrasp.objectives import GoalAuxLoss, GraspTD3BCLoss, PoseBCLoss, StaggeredTargetUpdate
 from torchgrasp.training.acceleration import Acceleration
 from torchgrasp.training.imitation import ImitationLearner
@@ -29,6 +30,7 @@ class ActorCriticLearner(ImitationLearner):
         policy_delay: critic updates an actor update (Sec. 6.4: 2).
         grasp_prediction: of the goal network, where there is one.
         acceleration: how updates are run; as they are by default.
+        mirror: as for every ImitationLearner.
     """
 
     def __init__(
@@ -42,6 +44,7 @@ class ActorCriticLearner(ImitationLearner):
         policy_delay: int = 2,
         grasp_prediction: GoalAuxLoss | None = None,
         acceleration: Acceleration | None = None,
+        mirror: Mirror | None = None,
     ) -> None:
         check_whole("policy_delay", policy_delay, 1)
         self.loss, self.targets, self.policy_delay = loss, targets, policy_delay
@@ -52,6 +55,7 @@ class ActorCriticLearner(ImitationLearner):
             optimizers=optimizers,
             grasp_prediction=grasp_prediction,
             acceleration=acceleration,
+            mirror=mirror,
         )
 
     def _wrap_updates(self) -> None:

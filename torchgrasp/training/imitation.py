@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torch.optim import Optimizer
 
+from torchgrasp.modules.mirrored_policy import Mirror
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.objectives import GoalAuxLoss, PoseBCLoss
 from torchgrasp.training.acceleration import Acceleration, get_optimizer_state, load_optimizer_state
@@ -27,6 +28,10 @@ class ImitationLearner:
         optimizers: one for each network, under its name.
         grasp_prediction: of the goal network, where there is one (Table 5, Goal-Conditioned).
         acceleration: how updates are run; as they are by default. Its `make_adam` makes optimizers for it.
+        mirror: for a policy that acts by the mean over reflections, see `MirroredPolicy`.
+
+    Attributes:
+        policy: what acts alone, and is evaluated.
 
     Example:
         >>> from torchgrasp.modules import GraspActor, PointNet
@@ -50,10 +55,12 @@ class ImitationLearner:
         optimizers: Mapping[str, Optimizer],
         grasp_prediction: GoalAuxLoss | None = None,
         acceleration: Acceleration | None = None,
+        mirror: Mirror | None = None,
     ) -> None:
         self.networks, self.optimizers = dict(networks), dict(optimizers)
         self.imitation, self.grasp_prediction = imitation, grasp_prediction
         self.acceleration = acceleration or Acceleration()
+        self.policy = join_policy(self.networks, mirror)
         self._terms = MeanTerms()
         self._wrap_updates()
 
@@ -65,11 +72,6 @@ class ImitationLearner:
     def actor(self) -> TensorDictModuleBase:
         """The actor alone; a goal that it reads has to be there."""
         return self.networks["actor"]
-
-    @property
-    def policy(self) -> TensorDictModuleBase:
-        """What acts alone, and is evaluated."""
-        return join_policy(self.networks)
 
     def set_rate(self, rate: float) -> None:
         """Give every optimizer this learning rate."""

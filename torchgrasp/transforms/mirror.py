@@ -55,6 +55,11 @@ class RandomMirror(Transform):
         self.feature_keys, self._generator = tuple(feature_keys), generator
 
     @property
+    def reflected(self) -> list[NestedKey]:
+        """The keys of all that is reflected where it is there."""
+        return [*self._points, *self._actions, *self._goals, *self._planes, *self._turns]
+
+    @property
     def views(self) -> list[Callable[[TensorDictBase], TensorDictBase]]:
         """Functions of a tensordict (*), one for each reflection: in x and y, in x, in y, in none."""
         return [partial(self._reflect_all, number=number) for number in range(4)]
@@ -70,11 +75,11 @@ class RandomMirror(Transform):
             )
         draws = torch.randint(0, 2, (*tensordict.batch_size, 2), generator=self._generator)
         self._pick(tensordict, draws)
-        return self._reflect(tensordict, draws)
+        return self.reflect(tensordict, 2.0 * draws - 1.0)
 
     def _reflect_all(self, tensordict: TensorDictBase, *, number: int) -> TensorDictBase:
-        draws = torch.tensor((number // 2, number % 2)).expand(*tensordict.batch_size, 2)
-        return self._reflect(tensordict, draws)
+        signs = 2.0 * torch.tensor((number // 2, number % 2)) - 1.0
+        return self.reflect(tensordict, signs.expand(*tensordict.batch_size, 2))
 
     def _pick(self, tensordict: TensorDictBase, draws: Tensor) -> None:
         """Leave of kept features those of the reflections (*, 2) drawn."""
@@ -86,9 +91,9 @@ class RandomMirror(Transform):
                 picked = rows[torch.arange(len(rows), device=rows.device), number]
                 tensordict.set(key, picked.reshape(*tensordict.batch_size, *picked.shape[1:]))
 
-    def _reflect(self, tensordict: TensorDictBase, draws: Tensor) -> TensorDictBase:
-        """Reflect each element by its draws (*, 2): 0 in x, 0 in y."""
-        sx, sy = (2.0 * draws - 1.0).to(tensordict.device, non_blocking=True).unbind(-1)
+    def reflect(self, tensordict: TensorDictBase, signs: Tensor) -> TensorDictBase:
+        """Reflect each element of a tensordict (*) by its signs (*, 2), in place: -1 in x, -1 in y."""
+        sx, sy = signs.to(tensordict.device, non_blocking=True).unbind(-1)
         one = torch.ones_like(sx)
         # S R S for S = diag(sx, sy, 1): a turn about an axis keeps its sense or loses it.
         position, turn = (sx, sy, one), (sy, sx, sx * sy)
