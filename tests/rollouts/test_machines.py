@@ -197,5 +197,7 @@ def test_a_machine_is_refused_by_name_before_anything_runs(composed, tmp_path):
         told = r"^Machines of the Ray cluster .* \(.*\) has torch 0.0.1 in place of .*: install the"
         with pytest.raises(ConfigError, match=told):
             make_pool(cfg)
+        by_value = ray.cloudpickle.list_registry_pickle_by_value()
+        assert remote_runner.__name__ in by_value  # so that a machine that joins late can be named
     finally:
         ray.shutdown()

@@ -150,6 +150,7 @@ class RayWorker(Worker):
         different = None if self._machines is None else self._machines.difference(self._node)
         if different is not None:
             raise WorkerLostError(f"{self._name} cannot work on {self._address}, which {different}")
+        self._wait_for(self._actor.load.remote())
         self._name = f"{self._name} (process {process} on {self._address})"
         if self._machines is not None:
             print(f"{self._name} runs episodes.", flush=True)

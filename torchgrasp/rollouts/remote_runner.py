@@ -13,7 +13,7 @@ from typing import Any
 
 
 class RemoteRunner:
-    """An EpisodeRunner, unpickled at its first episode where this process's modules are found.
+    """An EpisodeRunner: begun, placed, loaded once its machine may run it, and then run.
 
     Args:
         path: where the one who sends it finds modules; this machine looks there last.
@@ -31,13 +31,15 @@ class RemoteRunner:
 
         return ray.get_runtime_context().get_node_id(), ray.util.get_node_ip_address(), os.getpid()
 
-    def run(self, env: str, policy: bytes, number: int, explore: bool) -> bytes:
-        """The packed answer to a `worker_pool.Task` of these."""
+    def load(self) -> None:
+        """Unpickle the runner, where this process's modules are found."""
         import torch
 
+        torch.set_num_threads(1)
+        self._runner = pickle.loads(self._packed)
+
+    def run(self, env: str, policy: bytes, number: int, explore: bool) -> bytes:
+        """The packed answer to a `worker_pool.Task` of these."""
         from torchgrasp.rollouts.worker_pool import Task, answer
 
-        if self._runner is None:
-            torch.set_num_threads(1)
-            self._runner = pickle.loads(self._packed)
         return answer(self._runner, Task(env, policy, number, explore))
