@@ -119,7 +119,7 @@ class PlanRunner:
     def _start(self, task: Task) -> _Started:
         place = self.kept / task.name
         if task.run is not None:  # of a run that was stopped
-            _command_file(self.kept, task.name).unlink(missing_ok=True)
+            _origin_file(self.kept, task.name).unlink(missing_ok=True)
             shutil.rmtree(place, ignore_errors=True)
         names = find_names(task.command)
         command = task.command
@@ -151,8 +151,9 @@ class PlanRunner:
         try:
             if code := started.process.returncode:
                 raise ConfigError(f"exit code {code}: see {started.log.name}")
-            _command_file(self.kept, task.name).write_text(task.command)
             if task.run is not None:
+                told = _tell_origin(self.plan, task.run, task.seed)
+                _origin_file(self.kept, task.name).write_text(told)
                 record = self._read(task.run, task.seed, read_summary(self.kept / task.name, task.command))
                 write_record(self.table, task.name, record, self.folder)
                 self.written.append(task.name)
@@ -227,7 +228,7 @@ def list_tasks(plan: Plan, records: Sequence[str], kept: Path) -> dict[str, Task
     """The tasks that give these records, each after those that it needs.
 
     Folders are always among them, because a collection that is whole ends at once. A run that is needed is
-    among them unless its directory is kept, of the command that the plan has now.
+    among them unless its directory is kept, of the commands that the plan has now.
     """
     tasks: dict[str, Task] = {}
     for record in records:
@@ -265,31 +266,34 @@ def _add(tasks: dict[str, Task], plan: Plan, run: str, seed: int, kept: Path, re
         if name in plan.folders:
             tasks.setdefault(name, Task(name, plan.folders[name]))
             needs.append(name)
-        elif (record := f"{name}_{seed}") in records or not _is_kept(kept, record, seeded(plan, name, seed)):
+        elif (record := f"{name}_{seed}") in records or not _is_kept(kept, plan, name, seed):
             _add(tasks, plan, name, seed, kept, records)
             needs.append(record)
     tasks.setdefault(f"{run}_{seed}", Task(f"{run}_{seed}", command, tuple(needs), run, seed))
 
 
-def _command_file(kept: Path, task: str) -> Path:
-    """Where the command of a task that has ended is kept, beside its directory."""
-    return kept / f"{task}.command"
+def _origin_file(kept: Path, record: str) -> Path:
+    """Where the commands are kept that led to a run that has ended, beside its directory."""
+    return kept / f"{record}.commands"
 
 
-def _is_kept(kept: Path, record: str, command: str) -> bool:
-    file = _command_file(kept, record)
-    return file.exists() and file.read_text() == command and any((kept / record).rglob("summary.json"))
+def _tell_origin(plan: Plan, run: str, seed: int) -> str:
+    return "\n".join([*find_commands(plan, run, seed), seeded(plan, run, seed)])
+
+
+def _is_kept(kept: Path, plan: Plan, run: str, seed: int) -> bool:
+    record = f"{run}_{seed}"
+    file = _origin_file(kept, record)
+    same = file.exists() and file.read_text() == _tell_origin(plan, run, seed)
+    return same and any((kept / record).rglob("summary.json"))
 
 
 def _is_there(table: Table, plan: Plan, name: str) -> bool:
-    record = table.records.get(name)
-    if (
-        record is None
-        or record.recorded != "run"
-        or record.command != seeded(plan, *record_seeds(plan)[name])
-    ):
+    record, origin = table.records.get(name), record_seeds(plan)[name]
+    if record is None or record.recorded != "run":
         return False
-    return has_same_code(record.commit, CODE)
+    same = (record.command, record.needs) == (seeded(plan, *origin), find_commands(plan, *origin))
+    return same and has_same_code(record.commit, CODE)
 
 
 def _stop(running: Sequence[_Started]) -> None:

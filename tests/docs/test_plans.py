@@ -135,9 +135,9 @@ def test_what_a_run_needs_is_run_before_it_once(tmp_path):
     assert tasks["taught_1"].needs == ("demos",) and tasks["tested_1"].needs == ("taught_1",)
     (tmp_path / "taught_1").mkdir()
     (tmp_path / "taught_1" / "summary.json").write_text("")  # it is kept, and not asked for
-    (tmp_path / "taught_1.command").write_text(f"{TRAIN} seed=1")
+    (tmp_path / "taught_1.commands").write_text(f"{COLLECT}\n{TRAIN} seed=1")
     assert list(list_tasks(plan, ["tested_1"], tmp_path)) == ["tested_1"]
-    (tmp_path / "taught_1.command").write_text(f"{TRAIN} pretrain.steps=9 seed=1")  # of an earlier plan
+    (tmp_path / "taught_1.commands").write_text(f"{COLLECT} seed=9\n{TRAIN} seed=1")  # of an earlier plan
     assert list(list_tasks(plan, ["tested_1"], tmp_path)) == ["demos", "taught_1", "tested_1"]
     assert find_commands(plan, "tested", 1) == [COLLECT, f"{TRAIN} seed=1"]
     with pytest.raises(ConfigError, match="one is no run: choose from taught, tested"):
