@@ -27,14 +27,50 @@ def test_one_policy_is_made_to_act_by_its_mean_over_reflections(tmp_path):
     assert all(torch.equal(mean[key], value) for key, value in single.items())
 
 
-def test_policies_that_see_otherwise_are_refused(tmp_path, capsys):
+def change(path, *, drop=(), **sections):
+    """A file of the pretrained policy whose configuration differs: option -> value, sections by __."""
     states, config = load_weights(PRETRAINED)
-    config["transforms"]["sample"]["num_points"] = 512
-    other, output = tmp_path / "other.safetensors", tmp_path / "mean.safetensors"
-    save_weights(other, states, config)
+    for name, value in sections.items():
+        *places, last = name.split("__")
+        section = config
+        for place in places:
+            section = section[place]
+        section[last] = value
+    for name in drop:
+        del config["env"][name]
+    save_weights(path, states, config)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"transforms__sample__num_points": 512}, "other transforms"),
+        ({"env__action_space": "joint_delta"}, "other action_space"),
+        ({"model__mirrored": True}, "its model.mirrored"),
+        ({"model__actor__table_input": False}, "its model.actor.table_input"),
+        ({"model": None}, "configuration of no recipe"),
+        ({"env": 3}, "configuration of no recipe"),
+    ],
+)
+def test_policies_that_do_otherwise_and_damaged_files_are_refused(changed, told, tmp_path, capsys):
+    other, output = change(tmp_path / "other.safetensors", **changed), tmp_path / "mean.safetensors"
     assert main(["average", "pretrained", str(other), "--output", str(output)]) == 1
-    assert f"{other} learned with another transforms than {PRETRAINED}" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert str(other) in error and told in error and error.count("\n") == 1
     assert not output.exists()
+
+
+def test_an_older_file_has_the_defaults_that_it_leaves_out(tmp_path):
+    older = change(tmp_path / "older.safetensors", drop=["action_space"])
+    assert main(["average", "pretrained", str(older), "--output", str(tmp_path / "mean.safetensors")]) == 0
+
+
+def test_who_knows_no_reflections_does_not_act_by_their_mean(tmp_path, capsys):
+    plain = change(tmp_path / "plain.safetensors", replay__augment=None)
+    output = tmp_path / "mean.safetensors"
+    assert main(["average", str(plain), "--mirrored", "--output", str(output)]) == 1
+    assert "replay.augment=null" in capsys.readouterr().err and not output.exists()
 
 
 @pytest.mark.parametrize(

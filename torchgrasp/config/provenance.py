@@ -18,6 +18,8 @@ from torchgrasp.sim.engines import describe_engine
 # What demonstrations and a training run on them must have in common.
 _SHARED = ("kind", "transforms", "camera", "overhead", "horizon", "action_space")
 
+_DEFAULTS = {"overhead": None, "action_space": "ee_delta"}
+
 
 def describe_provenance(cfg: DictConfig) -> dict[str, Any]:
     """All of the configuration that changes which episodes are collected."""
@@ -85,8 +87,11 @@ def check_learner(cfg: DictConfig) -> None:
 
 
 def find_differing(ours: dict[str, Any], theirs: dict[str, Any]) -> list[str]:
-    """What of observations, actions and horizon two configurations tell otherwise, seeds apart, by name."""
-    ours, theirs = name_lenses(ours), name_lenses(theirs)
+    """What of observations, actions and horizon two configurations tell otherwise, seeds apart, by name.
+
+    Where one leaves out the overhead camera or the action space, it has the default.
+    """
+    ours, theirs = (name_lenses({**_DEFAULTS, **each}) for each in (ours, theirs))
     names = [name for name in _SHARED if name in theirs and name in ours]
     return [name for name in names if _unseeded(theirs[name]) != _unseeded(ours[name])]
 

@@ -35,7 +35,7 @@ def average_weights(paths: Sequence[Path], output: Path, *, mirrored: bool = Fal
         CheckpointError: where a file cannot be read.
     """
     if len(paths) < 2 and not mirrored:
-        raise ConfigError("There is nothing to average in one policy: give two or more.")
+        raise ConfigError("There is nothing to average in one policy: give two or more, or --mirrored.")
     (first, config), *others = [load_weights(path) for path in paths]
     names = [name for name in first if all(name in states for states, _ in others)]
     if not names:
@@ -52,7 +52,7 @@ def average_weights(paths: Sequence[Path], output: Path, *, mirrored: bool = Fal
     }
     config = config | {key: value for key, value in _OF_ONE_RUN.items() if key in config}
     if mirrored:
-        config["model"] = {**config.get("model", {}), "mirrored": True}
+        config["model"] = {**config["model"], "mirrored": True}
     save_weights(output, means, config)
     return names
 

@@ -1,0 +1,65 @@
+"""What policies must have in common, so that their mean is a policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from torchgrasp.config.networks import make_mirror, rebuild_acting
+from torchgrasp.config.provenance import find_differing
+from torchgrasp.config.weights_files import TrainedWeights, read_trained
+from torchgrasp.errors import ConfigError
+from torchgrasp.modules.policy import join_policy
+
+# Of an actor: what it reads and how, which the shapes of its weights do not tell.
+_READS = ("goal_input", "table_input", "state_inputs")
+
+
+def check_averaged(paths: Sequence[Path], *, mirrored: bool, trust: Iterable[str] = ()) -> None:
+    """Refuse policies that see, move or act otherwise than the first, before their mean is made.
+
+    Args:
+        paths: weights files.
+        mirrored: whether the mean acts by the mean over reflections.
+        trust: packages besides torchgrasp and TorchRL whose classes the files may name.
+
+    Raises:
+        ConfigError: names what differs, or why a policy cannot act by the mean over reflections.
+        CheckpointError: where a file cannot be read.
+    """
+    first, *others = [read_trained(path, trust) for path in paths]
+    for other in others:
+        if differing := find_differing(*map(_describe_task, (first, other))):
+            raise ConfigError(
+                f"{other.path} learned with other {', '.join(differing)} than {first.path}: average policies "
+                "that see and move alike."
+            )
+        one, another = (_describe_acting(each, mirrored) for each in (first, other))
+        if names := [name for name in one if one[name] != another[name]]:
+            raise ConfigError(
+                f"{other.path} acts otherwise than {first.path}, by its {', '.join(names)}: average policies "
+                "that act alike."
+            )
+    if mirrored:
+        _check_mirrored(first)
+
+
+def _describe_task(trained: TrainedWeights) -> dict[str, Any]:
+    return {**trained.config, **trained.config["env"]}
+
+
+def _describe_acting(trained: TrainedWeights, mirrored: bool) -> dict[str, Any]:
+    model = trained.config["model"]
+    told = {f"model.actor.{name}": model["actor"].get(name) or None for name in _READS}
+    told["model.residual"] = model.get("residual")
+    return told if mirrored else {**told, "model.mirrored": bool(model.get("mirrored"))}
+
+
+def _check_mirrored(trained: TrainedWeights) -> None:
+    if not (trained.config.get("replay") or {}).get("augment"):
+        raise ConfigError(
+            f"{trained.path} learned from states as they are (replay.augment=null): it knows no reflections, "
+            "and their mean would be of no use. Leave out --mirrored."
+        )
+    join_policy(rebuild_acting(trained), make_mirror({"mirrored": True}))
