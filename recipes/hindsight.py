@@ -24,6 +24,7 @@ from torchgrasp.config import (
     recipe_main,
     training_config,
 )
+from torchgrasp.modules.policy import join_policy
 from torchgrasp.runs import seed_everything
 from torchgrasp.training import ActorCriticLearner
 from torchgrasp.transforms import HindsightGoal
@@ -44,7 +45,7 @@ def train(cfg: DictConfig) -> dict:
 def tune(run: Run[ActorCriticLearner]) -> None:
     """Algorithm 1 with D = D_expert of known objects and D_hindsight, by Eq. (5)."""
     cfg, learner, experience = run.cfg, run.learner, run.experience
-    modules: list = [learner.policy, run.tries, run.noise]
+    modules: list = [join_policy(learner.networks), run.tries, run.noise]
     run.act(TensorDictSequential(*(each for each in modules if each is not None)))
     relabel = HindsightGoal(imitate=cfg.online.self_imitation)
     experience.draw_all()

@@ -6,6 +6,7 @@ from tensordict import TensorDict
 
 import torchgrasp
 from torchgrasp import keys
+from torchgrasp.config.learners import make_actor_critic
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules import GraspActor, MirroredPolicy, PointNet, ResidualPolicy
 from torchgrasp.modules.policy import join_policy
@@ -71,10 +72,31 @@ def test_what_else_a_policy_writes_is_that_of_the_state_as_it_is(actor):
     assert not torch.allclose(out["action"], itself["action"], atol=1e-3)
 
 
-def test_inputs_whose_reflection_is_not_known_are_refused():
-    actor = GraspActor(PointNet, state_inputs={"joints": 9})
-    with pytest.raises(ConfigError, match=r"reads 'joints', whose reflection .*model.mirrored=false"):
-        MirroredPolicy(actor, MIRROR)
+def test_batches_that_the_tensordict_does_not_tell(actor):
+    states = make_states(4)
+    untold = TensorDict(dict(states.items()), [])
+    policy = MirroredPolicy(actor, MIRROR)
+    assert torch.allclose(policy(untold)["action"], policy(states)["action"], atol=1e-6)
+
+
+def test_what_cannot_be_reflected_is_refused(actor):
+    joints = GraspActor(PointNet, state_inputs={"joints": 9})
+    with pytest.raises(ConfigError, match=r"reads 'joints', whose reflection .*Leave out --mirrored"):
+        MirroredPolicy(joints, MIRROR)
+    with pytest.raises(ConfigError, match="policy writes no 'act': name the action by action_key"):
+        MirroredPolicy(actor, MIRROR, action_key="act")
+    with pytest.raises(ConfigError, match="mirror knows no 'action'"):
+        MirroredPolicy(actor, RandomMirror(action_keys=["act"]))
+
+
+def test_a_learner_s_policy_is_mirrored_where_the_model_says_so(composed):
+    learner = make_actor_critic(composed("experiment=smoke", "model.mirrored=true"))
+    assert isinstance(learner.policy, MirroredPolicy) and learner.policy.policy is learner.actor
+    assert not isinstance(make_actor_critic(composed("experiment=smoke")).policy, MirroredPolicy)
+    with pytest.raises(ConfigError, match="reads 'image', whose reflection"):
+        make_actor_critic(
+            composed("experiment=smoke", "transforms=rgbd", "model=resnet18", "model.mirrored=true")
+        )
 
 
 def test_a_weights_file_says_that_its_policy_is_mirrored(tmp_path):

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import torch
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase, dispatch
+from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import unravel_key
 from torch import Tensor
 
@@ -32,7 +32,7 @@ class MirroredPolicy(TensorDictModuleBase):
     """Acts by the mean of a policy's actions on all four reflections of a state, each reflected back.
 
     The hand looks the same in the mirror of its x and y. A policy that learned from reflected states should
-    act the same there, and does so nearly; the mean does exactly, and errs less:
+    act the same there, and does so nearly; the mean does exactly, and may err less:
 
         action(s) = 1/4 sum_g g^-1 policy(g s)
 
@@ -47,7 +47,8 @@ class MirroredPolicy(TensorDictModuleBase):
         action_key: of the action.
 
     Raises:
-        ConfigError: where the policy reads what the mirror does not know, such as images.
+        ConfigError: where the policy reads what the mirror does not know, such as images, or where the
+            policy does not write the action or the mirror does not know it.
 
     Example:
         >>> from tensordict import TensorDict
@@ -76,15 +77,17 @@ class MirroredPolicy(TensorDictModuleBase):
         unknown = [key for key in policy.in_keys if unravel_key(key) not in known]
         if unknown:
             raise ConfigError(
-                f"The policy reads {unknown[0]!r}, whose reflection is not known: name it to RandomMirror, "
-                "or let the policy act as it is (model.mirrored=false)."
+                f"The policy reads {unknown[0]!r}, whose reflection is not known: it cannot act by the mean "
+                "over reflections. Leave out --mirrored, or model.mirrored=true."
             )
+        for name, there in (("policy writes", policy.out_keys), ("mirror knows", mirror.reflected)):
+            if unravel_key(action_key) not in {unravel_key(key) for key in there}:
+                raise ConfigError(f"The {name} no {action_key!r}: name the action by action_key.")
         self.policy, self.mirror, self.action_key = policy, mirror, action_key
         self.in_keys, self.out_keys = list(policy.in_keys), list(policy.out_keys)  # pyright: ignore
         signs = torch.tensor([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
         self.register_buffer("signs", signs, persistent=False)
 
-    @dispatch()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the mean action, and what else the policy writes."""
         shape = tensordict.batch_size

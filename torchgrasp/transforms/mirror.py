@@ -1,4 +1,4 @@
-"""RandomMirror: the hand's two symmetries, for four times the data."""
+"""RandomMirror: the hand's two symmetries, for four times the data or the mean of four actions."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class RandomMirror(Transform):
         one = torch.ones_like(sx)
         # S R S for S = diag(sx, sy, 1): a turn about an axis keeps its sense or loses it.
         position, turn = (sx, sy, one), (sy, sx, sx * sy)
-        self._scale(tensordict, self._points, torch.stack(position, dim=-1)[..., None, :])
+        self._scale(tensordict, self._points, torch.stack(position, dim=-1))
         self._scale(tensordict, self._planes, torch.stack(position, dim=-1))
         self._scale(tensordict, self._turns, (sx * sy)[..., None])
         self._scale(tensordict, self._actions, torch.stack((*position, *turn), dim=-1))
@@ -109,5 +109,7 @@ class RandomMirror(Transform):
         for key in names:
             value = tensordict.get(key, None)
             if value is not None:
-                signed = torch.cat((value[..., :size] * signs, value[..., size:]), dim=-1)
+                further = [1] * (value.ndim - signs.ndim)  # of a cloud its points
+                factors = signs.reshape(*signs.shape[:-1], *further, size)
+                signed = torch.cat((value[..., :size] * factors, value[..., size:]), dim=-1)
                 tensordict.set(key, signed)
