@@ -81,7 +81,7 @@ def test_batches_that_the_tensordict_does_not_tell(actor):
 
 def test_what_cannot_be_reflected_is_refused(actor):
     joints = GraspActor(PointNet, state_inputs={"joints": 9})
-    with pytest.raises(ConfigError, match=r"reads 'joints', whose reflection .*Leave out --mirrored"):
+    with pytest.raises(ConfigError, match=r"reads 'joints', whose reflection is not known.* act as it is"):
         MirroredPolicy(joints, MIRROR)
     with pytest.raises(ConfigError, match="policy writes no 'act': name the action by action_key"):
         MirroredPolicy(actor, MIRROR, action_key="act")

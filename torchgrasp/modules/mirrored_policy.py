@@ -77,8 +77,8 @@ class MirroredPolicy(TensorDictModuleBase):
         unknown = [key for key in policy.in_keys if unravel_key(key) not in known]
         if unknown:
             raise ConfigError(
-                f"The policy reads {unknown[0]!r}, whose reflection is not known: it cannot act by the mean "
-                "over reflections. Leave out --mirrored, or model.mirrored=true."
+                f"The policy reads {unknown[0]!r}, whose reflection is not known, so that it cannot be "
+                "mirrored: let it act as it is."
             )
         for name, there in (("policy writes", policy.out_keys), ("mirror knows", mirror.reflected)):
             if unravel_key(action_key) not in {unravel_key(key) for key in there}:
