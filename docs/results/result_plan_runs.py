@@ -21,6 +21,7 @@ from result_plans import (
     PlannedRun,
     find_commands,
     find_names,
+    list_commands,
     record_seeds,
     seeded,
 )
@@ -278,7 +279,7 @@ def _origin_file(kept: Path, record: str) -> Path:
 
 
 def _tell_origin(plan: Plan, run: str, seed: int) -> str:
-    return "\n".join([*find_commands(plan, run, seed), seeded(plan, run, seed)])
+    return "\n".join(list_commands(plan, run, seed))
 
 
 def _is_kept(kept: Path, plan: Plan, run: str, seed: int) -> bool:
@@ -292,7 +293,7 @@ def _is_there(table: Table, plan: Plan, name: str) -> bool:
     record, origin = table.records.get(name), record_seeds(plan)[name]
     if record is None or record.recorded != "run":
         return False
-    same = (record.command, record.needs) == (seeded(plan, *origin), find_commands(plan, *origin))
+    same = [*record.needs, record.command] == list_commands(plan, *origin)
     return same and has_same_code(record.commit, CODE)
 
 

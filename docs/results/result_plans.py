@@ -76,8 +76,13 @@ def find_commands(plan: Plan, name: str, seed: int) -> list[str]:
         if other in plan.folders:
             needed.append(plan.folders[other])
         else:
-            needed += [*find_commands(plan, other, seed), seeded(plan, other, seed)]
+            needed += list_commands(plan, other, seed)
     return list(dict.fromkeys(needed))
+
+
+def list_commands(plan: Plan, run: str, seed: int) -> list[str]:
+    """All commands that lead to a run with this seed, in order; the last one is its own."""
+    return [*find_commands(plan, run, seed), seeded(plan, run, seed)]
 
 
 def seeded(plan: Plan, run: str, seed: int) -> str:
