@@ -39,9 +39,10 @@ def set_physics(
         most = min(force, 2 * FINGER_STIFFNESS * FINGER_OPEN)
         model.dof_damping[model.joint(name).dofadr] = most / FINGER_VELOCITY
     mujoco.mj_setConst(model, data)
-    # The compiler's means, which mj_setConst leaves as they are. The solver ends by the first.
-    model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
-    model.stat.meanmass = sum(model.body_mass[1:].tolist()) / (model.nbody - 1)
+    # The compiler's means, which mj_setConst leaves as they are. The solver ends by the first. It adds one
+    # number after the other, as cumsum does; sum() rounds otherwise from Python 3.12 on.
+    model.stat.meaninertia = np.cumsum(model.dof_M0)[-1] / model.nv
+    model.stat.meanmass = np.cumsum(model.body_mass[1:])[-1] / (model.nbody - 1)
     mujoco.mj_resetData(model, data)
 
 
