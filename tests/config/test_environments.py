@@ -57,7 +57,10 @@ def test_every_environment_passes_check_env_specs(composed, env, camera, transfo
     check_env_specs(make_split_env(cfg, "train"), break_when_any_done="both")
 
 
-@pytest.mark.parametrize("objects", choices("objects"))
+MARKS = dict.fromkeys(("mixture", "random_urdfs", "varied"), (pytest.mark.pybullet,))
+
+
+@pytest.mark.parametrize("objects", [pytest.param(o, marks=MARKS.get(o, ())) for o in choices("objects")])
 def test_the_objects_of_every_kind_are_met(composed, meshes, objects):
     path = [f"objects.path={meshes}"] if objects in ("folder", "acronym") else []
     cfg = composed(f"objects={objects}", "camera=raycast", *SMALL, *path)
@@ -94,6 +97,7 @@ def test_the_evaluation_has_objects_seed_worlds_and_motion_of_its_own(composed):
     assert make_expert(cfg, "test").horizon == make_expert(cfg, "train").horizon == 6
 
 
+@pytest.mark.pybullet
 def test_a_mixture_trains_on_no_test_object(composed):
     extra = ["+objects@objects.sets.ycb=ycb", "+objects.weights.ycb=1"]
     cfg = composed("experiment=smoke", "objects=mixture", *extra, "objects.num_objects=100")

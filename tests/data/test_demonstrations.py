@@ -1,3 +1,4 @@
+import importlib.metadata
 import json
 import os
 import shutil
@@ -134,7 +135,7 @@ def test_card_tells_what_was_run_and_where_it_comes_from(tmp_path):
     assert card["perturbed_steps"] == sum(int(e["perturbed"].sum()) for e in episodes)
     assert card["labelled_steps"] == sum(int(e["has_expert"].sum()) for e in episodes)
     assert card["wall_seconds"] == 1.5 and card["bytes_per_step"] == round(card["bytes"] / steps, 1)
-    assert card["versions"]["torch"] == [torch.__version__]
+    assert card["versions"]["torch"] == [importlib.metadata.version("torch")]
 
 
 def test_empty_shards_are_shards(tmp_path):

@@ -67,6 +67,7 @@ def test_the_robot_stands_where_physics_has_it(played):
                 assert np.allclose(drawn[:3, :3], physical[:3, :3], atol=1e-3)
 
 
+@pytest.mark.pybullet
 def test_the_panda_is_drawn_where_physics_has_its_links(played):
     _, env, _ = played
     links = {link.name: link for link in env.worlds._worlds[0]._panda.articulation.links}

@@ -55,6 +55,7 @@ def test_without_a_cloud_there_are_two_pictures(episode):
 
 
 @pytest.mark.vulkan
+@pytest.mark.pybullet
 @pytest.mark.parametrize("engine", ["sapien", "mujoco"])
 def test_a_rendered_film_shows_the_panda_and_changes_nothing_else(engine):
     camera = RenderCamera(CameraIntrinsics(32, 32), rgb=False)

@@ -23,7 +23,7 @@ from torchgrasp.rollouts import machines, remote_runner
 from torchgrasp.rollouts.ray_pool import import_ray
 
 FOUND = Path(torchgrasp.__file__).parents[1]
-# Without -S the editable installation of a checkout would be found. That of the packages is given by hand.
+# Without -S the editable installation of a checkout would be found.
 _ASKED = """
 import pickle, sys
 sys.path += sys.argv[2:]
@@ -35,8 +35,13 @@ pickle.dump(function(*args), sys.stdout.buffer)
 
 @pytest.fixture
 def ask(tmp_path):
-    """Calls a function of `machines` in a Python that finds some folders and the installed packages."""
+    """Calls a function of `machines` in a Python that finds some folders and all packages but torchgrasp."""
     cloudpickle = import_ray().cloudpickle
+    packages = tmp_path / "packages"
+    packages.mkdir()
+    for entry in Path(sysconfig.get_path("purelib")).iterdir():
+        if not entry.name.startswith("torchgrasp"):
+            (packages / entry.name).symlink_to(entry)
 
     def call(function, *args, folders=(), env=None):
         sent = (machines, remote_runner)
@@ -48,7 +53,7 @@ def ask(tmp_path):
             for module in sent:
                 cloudpickle.unregister_pickle_by_value(module)
         (tmp_path / "call").write_bytes(packed)
-        places = [*map(str, folders), sysconfig.get_path("purelib")]
+        places = [*map(str, folders), str(packages)]
         command = [sys.executable, "-S", "-c", _ASKED, str(tmp_path / "call"), *places]
         told = {**os.environ, "PYTHONPATH": "", "OMP_NUM_THREADS": "1", **(env or {})}
         done = subprocess.run(command, capture_output=True, cwd=tmp_path, env=told)

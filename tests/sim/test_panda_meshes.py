@@ -2,8 +2,9 @@
 
 import shutil
 import sys
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pytest
@@ -16,19 +17,31 @@ from torchgrasp.sim.panda_meshes import FILES, PandaMeshes, link_frames, meshes_
 from torchgrasp.sim.panda_pose import ARM_SIZES, arm_poses
 from torchgrasp.sim.panda_tables import FINGER_SHAPES, HAND_SHAPES, Shape
 
-FOLDER = meshes_folder()
-assert FOLDER is not None, 'these tests need the extra random-urdfs: pip install "torchgrasp[random-urdfs]"'
+pytestmark = pytest.mark.pybullet
+
 LINKS = [*(f"panda_link{i}" for i in range(8)), "panda_hand", "panda_leftfinger", "panda_rightfinger"]
-URDF = ElementTree.parse(FOLDER.parent / "panda.urdf").getroot()
 
 
 @pytest.fixture(scope="module")
-def meshes() -> PandaMeshes:
-    assert FOLDER is not None
-    return read_meshes(FOLDER)
+def folder() -> Path:
+    found = meshes_folder()
+    assert found is not None, (
+        'these tests need the extra random-urdfs: pip install "torchgrasp[random-urdfs]"'
+    )
+    return found
 
 
-def origin(element: ElementTree.Element) -> np.ndarray:
+@pytest.fixture(scope="module")
+def urdf(folder) -> Element:
+    return ElementTree.parse(folder.parent / "panda.urdf").getroot()
+
+
+@pytest.fixture(scope="module")
+def meshes(folder) -> PandaMeshes:
+    return read_meshes(folder)
+
+
+def origin(element: Element) -> np.ndarray:
     """(4, 4) what a URDF's <origin> says."""
     pose, found = np.eye(4), element.find("origin")
     if found is not None:
@@ -38,12 +51,12 @@ def origin(element: ElementTree.Element) -> np.ndarray:
     return pose
 
 
-def urdf_poses(joints: np.ndarray) -> np.ndarray:
+def urdf_poses(urdf: Element, joints: np.ndarray) -> np.ndarray:
     """(11, 4, 4) poses of what panda.urdf shows at (9,) joints: links 0 to 7, hand, fingers."""
     moved = {f"panda_joint{i + 1}": joints[i] for i in range(7)}
     moved |= {f"panda_finger_joint{i + 1}": joints[7 + i] for i in range(2)}
     poses = {"panda_link0": np.eye(4)}
-    waiting = list(URDF.iter("joint"))
+    waiting = list(urdf.iter("joint"))
     while waiting:
         joint = waiting.pop(0)
         parent, child = joint.find("parent").get("link"), joint.find("child").get("link")  # pyright: ignore
@@ -58,7 +71,7 @@ def urdf_poses(joints: np.ndarray) -> np.ndarray:
             else:
                 move[:3, :3] = Rotation.from_rotvec(along).as_matrix()
         poses[child] = poses[parent] @ origin(joint) @ move  # pyright: ignore
-    shown = {link.get("name"): link.find("visual") for link in URDF.iter("link")}
+    shown = {link.get("name"): link.find("visual") for link in urdf.iter("link")}
     return np.stack([poses[name] @ origin(shown[name]) for name in LINKS])  # pyright: ignore
 
 
@@ -82,16 +95,16 @@ def shape_bounds(shapes: tuple[Shape, ...]) -> np.ndarray:
     return np.stack((np.min(ends, axis=0), np.max(ends, axis=0)))
 
 
-def test_links_are_where_the_packages_robot_has_them():
+def test_links_are_where_the_packages_robot_has_them(urdf):
     rng = np.random.default_rng(0)
     for _ in range(30):
         joints = np.concatenate((rng.uniform(JOINT_LOWER, JOINT_UPPER), rng.uniform(0.0, 0.04, 2)))
         frames = link_frames(joints, forward_kinematics(joints[None, :7])[0])
-        assert np.allclose(frames, urdf_poses(joints), atol=1e-9)
+        assert np.allclose(frames, urdf_poses(urdf, joints), atol=1e-9)
 
 
-def test_each_link_shows_the_file_that_the_packages_robot_shows():
-    shown = {link.get("name"): link.find("visual/geometry/mesh") for link in URDF.iter("link")}
+def test_each_link_shows_the_file_that_the_packages_robot_shows(urdf):
+    shown = {link.get("name"): link.find("visual/geometry/mesh") for link in urdf.iter("link")}
     names = [shown[name].get("filename").removeprefix("package://meshes/") for name in LINKS]  # pyright: ignore
     assert names == list(FILES)
 
@@ -140,9 +153,9 @@ def test_surfaces_are_seen_from_outside_alone(meshes):
     assert {part.colour for part in meshes.parts} >= {(1.0, 1.0, 1.0), (64 / 255,) * 3}
 
 
-def copied(tmp_path: Path) -> Path:
-    assert FOLDER is not None
-    return Path(shutil.copytree(FOLDER, tmp_path / "meshes"))
+@pytest.fixture
+def copied(folder, tmp_path) -> Path:
+    return Path(shutil.copytree(folder, tmp_path / "meshes"))
 
 
 def cut(file: Path) -> None:
@@ -174,19 +187,17 @@ DAMAGE = (Path.unlink, cut, without_faces, in_millimetres, with_nan, of_other_ve
 
 
 @pytest.mark.parametrize("damage", DAMAGE, ids=lambda damage: damage.__name__)
-def test_a_file_that_cannot_be_used_is_named(tmp_path, damage):
-    folder = copied(tmp_path)
-    damage(folder / "visual" / "finger.obj")
+def test_a_file_that_cannot_be_used_is_named(copied, damage):
+    damage(copied / "visual" / "finger.obj")
     with pytest.raises(ObjectError, match=r"finger\.obj .*: (install pybullet again|restore it)\.$") as told:
-        read_meshes(folder)
+        read_meshes(copied)
     assert "\n" not in str(told.value)
 
 
-def test_missing_colours_are_named(tmp_path):
-    folder = copied(tmp_path)
-    (folder / "visual" / "hand.mtl").unlink()
+def test_missing_colours_are_named(copied):
+    (copied / "visual" / "hand.mtl").unlink()
     with pytest.raises(ObjectError, match=r"hand\.mtl cannot be read"):
-        read_meshes(folder)
+        read_meshes(copied)
 
 
 def test_the_package_is_not_imported_and_may_be_missing(monkeypatch):

@@ -20,6 +20,7 @@ def target():
     return ProceduralObjects("train", num_objects=1, num_grasps=100)[0]
 
 
+@pytest.mark.pybullet
 def test_each_look_has_a_pose_for_each_part(target):
     view = next(views([target], 1))
     for name in ("shapes", "meshes"):
@@ -41,6 +42,7 @@ def test_without_the_package_the_shapes_are_shown_without_a_word():
         assert mesh_look(None) is robot_look("shapes")
 
 
+@pytest.mark.pybullet
 def test_a_damaged_file_is_told_of_in_one_line_and_the_shapes_are_shown(tmp_path):
     folder = shutil.copytree(str(meshes_folder()), tmp_path / "meshes")
     (folder / "visual" / "link3.obj").write_text("nonsense\n")
@@ -69,6 +71,7 @@ def test_what_policies_see_does_not_change_by_what_people_are_shown(target, plac
 
 
 @pytest.mark.vulkan
+@pytest.mark.pybullet
 def test_meshes_stand_where_the_shapes_stand(target):
     views_of = {name: RenderCamera(rgb=False, robot=name, **OVERHEAD) for name in ("shapes", "meshes")}
     for view in views([target], 6):
