@@ -12,7 +12,10 @@ from recipes import evaluate, hindsight, td3_bc
 from tests.configurations import compose_config
 from tests.recipes.runner import find_run, read_metrics, read_results, stored_rows
 from tests.recipes.test_td3_bc import kill_and_resume
+from torchgrasp.config.networks import load_networks, make_networks
+from torchgrasp.config.weights_files import read_trained
 from torchgrasp.errors import ConfigError
+from torchgrasp.objects import ProceduralObjects
 from torchgrasp.runs import load_weights
 from torchgrasp.transforms import RandomMirror
 
@@ -78,6 +81,16 @@ def test_a_trained_policy_is_corrected_from_the_first_step(composed, tmp_path, t
     encoder = {key: value for key, value in before.items() if ".encoder." in key}
     kept = [value for key, value in after.items() if ".encoder." in key]
     assert encoder and all(map(torch.equal, encoder.values(), kept))
+
+
+def test_without_a_residual_training_begins_with_what_was_corrected(composed, corrected, capsys):
+    networks = make_networks(composed("experiment=smoke").model)
+    assert load_networks(networks, read_trained(corrected)) == ["actor"]
+    told = capsys.readouterr().out
+    assert "has been corrected" in told and "the critic begins anew" in told
+    policy = torchgrasp.load_policy(corrected)
+    state = torchgrasp.make_env(policy, num_envs=1, objects=ProceduralObjects("val", num_objects=1)).reset()
+    assert torch.equal(networks["actor"](state.copy())["action"], policy(state.copy())["base_action"])
 
 
 def test_fine_tuning_of_a_weights_file_needs_no_demonstrations(composed, tmp_path, trained):

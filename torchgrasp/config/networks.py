@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +102,16 @@ def begin_networks(cfg: DictConfig, networks: Mapping[str, TensorDictModuleBase]
 def load_networks(networks: Mapping[str, TensorDictModuleBase], trained: TrainedWeights) -> list[str]:
     """Give the networks the trained weights of the same names; returns the names.
 
-    A critic stays as it is where imitation alone, which trains none, has left the file.
+    A critic stays as it is where imitation alone, which trains none, has left the file. An actor without a
+    correction begins as it was before its correction. That one's critic reads other features, and stays out.
     """
+    cause = "was trained by imitation"
+    if has_residual(trained.config) and not isinstance(networks["actor"], ResidualPolicy):
+        corrected = ResidualPolicy.find_corrected(trained.states["actor"])
+        trained, cause = replace(trained, states={"actor": corrected}), "has the critic of a correction alone"
+        print(f"{trained.path} has been corrected: without model.residual the actor begins as it was before.")
     if "critic" in networks and "critic" not in trained.states:
-        print(f"{trained.path} was trained by imitation: the critic begins anew.")
+        print(f"{trained.path} {cause}: the critic begins anew.")
         networks = {name: each for name, each in networks.items() if name != "critic"}
     _check_sizes(networks, trained)
     _give(networks, trained)

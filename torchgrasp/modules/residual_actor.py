@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any, cast
@@ -226,6 +226,16 @@ class ResidualPolicy(TensorDictSequential):
     def residual(self) -> ResidualActor:
         """Reads it."""
         return cast(ResidualActor, self[1])
+
+    @staticmethod
+    def find_corrected(states: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Of the state of such a policy, that of the actor which it corrects."""
+        encoder, rest = "module.0.", "module.1.base."
+        return {
+            key.removeprefix(encoder).removeprefix(rest): value
+            for key, value in states.items()
+            if key.startswith((encoder, rest))
+        }
 
     def select_subsequence(self, *args: Any, **options: Any) -> TensorDictSequential:
         """A part of it, which is any sequence of modules."""
