@@ -10,9 +10,10 @@ def test_its_file_is_small_and_tells_how_it_came_about():
     assert PRETRAINED.stat().st_size < 8e6
     told = json.loads(PRETRAINED.with_suffix(".json").read_text())
     assert told["command"].startswith("torchgrasp average ")
-    for part in ("run", "start"):  # that it is the mean of
-        assert told[part]["command"].startswith("python recipes/bc.py ")
-        assert told[part]["trained"]["env_steps"] > 0
+    # A correction of the mean of a policy and the one shipped before.
+    assert told["correction"]["command"].startswith("python recipes/td3_bc.py ")
+    assert told["run"]["command"].startswith("python recipes/bc.py ")
+    assert all(told[part]["trained"]["env_steps"] > 0 for part in ("correction", "run"))
     (row,) = told["results"]["procedural_test"]["rows"]
     assert 0.9 < row["success_rate"] <= 1.0
 
