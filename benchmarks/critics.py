@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -17,7 +18,9 @@ from torchrl.data import MultiStep
 from torchrl.envs.utils import step_mdp
 
 from torchgrasp import keys
-from torchgrasp.config import evaluation_config, make_policy, make_pool, make_split_env, prepare_objects
+from torchgrasp.config import evaluation_config, make_pool, make_split_env, prepare_objects
+from torchgrasp.config.networks import rebuild_uncorrected
+from torchgrasp.config.weights_files import read_trained
 from torchgrasp.data import split_tries
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.value_quality import ValueTable, area_under_curve
@@ -39,7 +42,8 @@ def benchmark_critics(cfg: DictConfig) -> list[dict]:
     options, ways = cfg.critics, {name: _read_way(name) for name in cfg.critics.ways}
     chosen = [f"policy={options.policy}", f"collector.num_workers={cfg.collector.num_workers}"]
     evaluated = evaluation_config(compose_config("evaluate", [*chosen, *options.overrides]))
-    encoder, rest = split_network(make_policy(evaluated, str(options.policy)), _FEATURE)
+    actor = rebuild_uncorrected(read_trained(Path(str(options.policy)), evaluated.trust))
+    encoder, rest = split_network(actor, _FEATURE)
     policy: list = [encoder, rest]
     acting = TensorDictSequential(*policy)
     trying = any(steps is None for steps, _, _ in ways.values())

@@ -12,17 +12,19 @@ from torchgrasp.runs.weights import PRETRAINED, load_weights, save_weights
 def test_the_mean_of_a_policy_with_itself_is_that_policy(tmp_path, capsys):
     output = tmp_path / "mean.safetensors"
     assert main(["average", "pretrained", str(PRETRAINED), "--output", str(output)]) == 0
-    assert capsys.readouterr().out == f"Written to {output}: actor of 2 policies\n"
+    assert capsys.readouterr().out == f"Written to {output}: actor, critic of 2 policies\n"
     mean, itself = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
     assert all(torch.equal(mean[key], value) for key, value in itself.items())
     torchgrasp.load_policy(str(output))
 
 
 def test_one_policy_is_made_to_act_by_its_mean_over_reflections(tmp_path):
-    output = tmp_path / "mirrored.safetensors"
-    assert main(["average", "pretrained", "--mirrored", "--output", str(output)]) == 0
-    policy, itself = torchgrasp.load_policy(str(output)), torchgrasp.load_policy("pretrained")
-    assert isinstance(policy[0], MirroredPolicy) and policy.in_keys == itself.in_keys
+    output, single = tmp_path / "mirrored.safetensors", tmp_path / "single.safetensors"
+    change(single, model__mirrored=False)
+    assert main(["average", str(single), "--mirrored", "--output", str(output)]) == 0
+    policy, itself = torchgrasp.load_policy(str(output)), torchgrasp.load_policy(str(single))
+    assert isinstance(policy[0], MirroredPolicy) and not isinstance(itself[0], MirroredPolicy)
+    assert policy.in_keys == itself.in_keys
     mean, single = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
     assert all(torch.equal(mean[key], value) for key, value in single.items())
 
@@ -47,7 +49,7 @@ def change(path, *, drop=(), **sections):
     [
         ({"transforms__sample__num_points": 512}, "other transforms"),
         ({"env__action_space": "joint_delta"}, "other action_space"),
-        ({"model__mirrored": True}, "its model.mirrored"),
+        ({"model__mirrored": False}, "its model.mirrored"),
         ({"model__actor__table_input": False}, "its model.actor.table_input"),
         ({"model": None}, "configuration of no recipe"),
         ({"env": 3}, "configuration of no recipe"),

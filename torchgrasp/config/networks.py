@@ -78,6 +78,15 @@ def rebuild_acting(trained: TrainedWeights, *, critic: bool = False) -> dict[str
     return networks
 
 
+def rebuild_uncorrected(trained: TrainedWeights) -> TensorDictModuleBase:
+    """The trained actor; one that has been corrected, as it was before."""
+    cfg: Any = OmegaConf.create({"model": {**trained.config["model"], "residual": None}})
+    forget_encoder_files(cfg.model)
+    networks = make_networks(cfg.model, critic=False)
+    load_networks(networks, trained)
+    return networks["actor"]
+
+
 def forget_encoder_files(model: DictConfig) -> None:
     """Have no encoder of trained networks begin with a file of its own: it need not be there."""
     for name in _NETWORKS:
@@ -108,7 +117,9 @@ def load_networks(networks: Mapping[str, TensorDictModuleBase], trained: Trained
     cause = "was trained by imitation"
     if has_residual(trained.config) and not isinstance(networks["actor"], ResidualPolicy):
         corrected = ResidualPolicy.find_corrected(trained.states["actor"])
-        trained, cause = replace(trained, states={"actor": corrected}), "has the critic of a correction alone"
+        others = {name: states for name, states in trained.states.items() if name != "critic"}
+        trained = replace(trained, states={**others, "actor": corrected})
+        cause = "holds the critic of a correction"
         print(f"{trained.path} has been corrected: without model.residual the actor begins as it was before.")
     if "critic" in networks and "critic" not in trained.states:
         print(f"{trained.path} {cause}: the critic begins anew.")
