@@ -118,4 +118,4 @@ def test_files_of_the_version_before_checksums_are_read(tmp_path):
 
 def test_the_pretrained_policy_has_a_checksum():
     assert "sha256" in read_parts(PRETRAINED)[0]["__metadata__"]
-    assert load_weights(PRETRAINED)[1]["recipe"] == "bc"
+    assert load_weights(PRETRAINED)[1]["recipe"] == "td3_bc"
