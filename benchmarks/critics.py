@@ -19,13 +19,14 @@ from torchrl.envs.utils import step_mdp
 
 from torchgrasp import keys
 from torchgrasp.config import evaluation_config, make_pool, make_split_env, prepare_objects
-from torchgrasp.config.networks import rebuild_uncorrected
+from torchgrasp.config.networks import rebuild_acting, without_correction
 from torchgrasp.config.weights_files import read_trained
 from torchgrasp.data import split_tries
 from torchgrasp.errors import ConfigError
 from torchgrasp.evaluation.value_quality import ValueTable, area_under_curve
 from torchgrasp.geometry import ACTION_BOUND
 from torchgrasp.modules import ExploringStep, GivenFeature, GraspCritic, NearbyActions, split_network
+from torchgrasp.modules.policy import join_policy
 from torchgrasp.objectives import GraspTD3BCLoss, StaggeredTargetUpdate
 from torchgrasp.rollouts.episode_pool import copy_for_rollouts
 
@@ -42,8 +43,8 @@ def benchmark_critics(cfg: DictConfig) -> list[dict]:
     options, ways = cfg.critics, {name: _read_way(name) for name in cfg.critics.ways}
     chosen = [f"policy={options.policy}", f"collector.num_workers={cfg.collector.num_workers}"]
     evaluated = evaluation_config(compose_config("evaluate", [*chosen, *options.overrides]))
-    actor = rebuild_uncorrected(read_trained(Path(str(options.policy)), evaluated.trust))
-    encoder, rest = split_network(actor, _FEATURE)
+    trained = without_correction(read_trained(Path(str(options.policy)), evaluated.trust))
+    encoder, rest = split_network(join_policy(rebuild_acting(trained)), _FEATURE)
     policy: list = [encoder, rest]
     acting = TensorDictSequential(*policy)
     trying = any(steps is None for steps, _, _ in ways.values())

@@ -25,8 +25,8 @@ def test_one_policy_is_made_to_act_by_its_mean_over_reflections(tmp_path):
     policy, itself = torchgrasp.load_policy(str(output)), torchgrasp.load_policy(str(single))
     assert isinstance(policy[0], MirroredPolicy) and not isinstance(itself[0], MirroredPolicy)
     assert policy.in_keys == itself.in_keys
-    mean, single = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
-    assert all(torch.equal(mean[key], value) for key, value in single.items())
+    ours, theirs = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
+    assert all(torch.equal(ours[key], value) for key, value in theirs.items())
 
 
 def change(path, *, drop=(), **sections):

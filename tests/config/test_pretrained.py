@@ -10,10 +10,11 @@ def test_its_file_is_small_and_tells_how_it_came_about():
     assert PRETRAINED.stat().st_size < 8e6
     told = json.loads(PRETRAINED.with_suffix(".json").read_text())
     assert told["command"].startswith("torchgrasp average ")
-    # A correction of the mean of a policy and the one shipped before.
+    # A correction of the mean of a run and the policy before, which was such a mean itself.
     assert told["correction"]["command"].startswith("python recipes/td3_bc.py ")
-    assert told["run"]["command"].startswith("python recipes/bc.py ")
-    assert all(told[part]["trained"]["env_steps"] > 0 for part in ("correction", "run"))
+    runs = [told["run"], told["start"]["run"], told["start"]["start"]]
+    assert all(each["command"].startswith("python recipes/bc.py ") for each in runs)
+    assert all(each["trained"]["env_steps"] > 0 for each in (told["correction"], *runs))
     (row,) = told["results"]["procedural_test"]["rows"]
     assert 0.9 < row["success_rate"] <= 1.0
 

@@ -38,10 +38,8 @@ def saved(path, change=lambda config: None):
 
 def test_what_is_taken_over_rebuilds_the_networks_and_nothing_else():
     trained = read_trained(Path("pretrained"))
-    assert trained.config["recipe"] in ("bc", "td3_bc", "hindsight") and set(trained.states) == {
-        "actor",
-        "critic",
-    }
+    assert trained.config["recipe"] in ("bc", "td3_bc", "hindsight")
+    assert set(trained.states) == {"actor", "critic"}
     assert not {"objects", "expert", "loss", "collector", "output_dir"} & set(trained.config)
 
 

@@ -14,9 +14,9 @@ from tests.recipes.runner import find_run, read_metrics, read_results, stored_ro
 from tests.recipes.test_td3_bc import kill_and_resume
 from torchgrasp.config.networks import load_networks, make_networks
 from torchgrasp.config.weights_files import read_trained
-from torchgrasp.errors import ConfigError
+from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.objects import ProceduralObjects
-from torchgrasp.runs import load_weights
+from torchgrasp.runs import load_weights, save_weights
 from torchgrasp.transforms import RandomMirror
 
 GIVEN = ["experiment=[smoke,residual]", "online.critic_warmup=1", "evaluation.baselines=[]"]
@@ -91,6 +91,14 @@ def test_without_a_residual_training_begins_with_what_was_corrected(composed, co
     policy = torchgrasp.load_policy(corrected)
     state = torchgrasp.make_env(policy, num_envs=1, objects=ProceduralObjects("val", num_objects=1)).reset()
     assert torch.equal(networks["actor"](state.copy())["action"], policy(state.copy())["base_action"])
+
+
+def test_a_correction_without_its_actor_is_told_in_one_line(composed, corrected, tmp_path):
+    states, config = load_weights(corrected / "weights.safetensors")
+    save_weights(tmp_path / "critic.safetensors", {"critic": states["critic"]}, config)
+    networks = make_networks(composed("experiment=smoke").model, critic=False)
+    with pytest.raises(CheckpointError, match="holds weights of other networks"):
+        load_networks(networks, read_trained(tmp_path / "critic.safetensors"))
 
 
 def test_fine_tuning_of_a_weights_file_needs_no_demonstrations(composed, tmp_path, trained):

@@ -78,13 +78,17 @@ def rebuild_acting(trained: TrainedWeights, *, critic: bool = False) -> dict[str
     return networks
 
 
-def rebuild_uncorrected(trained: TrainedWeights) -> TensorDictModuleBase:
-    """The trained actor; one that has been corrected, as it was before."""
-    cfg: Any = OmegaConf.create({"model": {**trained.config["model"], "residual": None}})
-    forget_encoder_files(cfg.model)
-    networks = make_networks(cfg.model, critic=False)
-    load_networks(networks, trained)
-    return networks["actor"]
+def without_correction(trained: TrainedWeights) -> TrainedWeights:
+    """The trained weights with the actor as it was before it was corrected, if it was.
+
+    The critic, which reads what the corrected actor's encoder writes, is left out then.
+    """
+    if not has_residual(trained.config):
+        return trained
+    states = {name: each for name, each in trained.states.items() if name != "critic"}
+    states["actor"] = ResidualPolicy.find_corrected(trained.states.get("actor", {}))
+    model = {**trained.config["model"], "residual": None}
+    return replace(trained, states=states, config={**trained.config, "model": model})
 
 
 def forget_encoder_files(model: DictConfig) -> None:
@@ -116,10 +120,7 @@ def load_networks(networks: Mapping[str, TensorDictModuleBase], trained: Trained
     """
     cause = "was trained by imitation"
     if has_residual(trained.config) and not isinstance(networks["actor"], ResidualPolicy):
-        corrected = ResidualPolicy.find_corrected(trained.states["actor"])
-        others = {name: states for name, states in trained.states.items() if name != "critic"}
-        trained = replace(trained, states={**others, "actor": corrected})
-        cause = "holds the critic of a correction"
+        trained, cause = without_correction(trained), "holds the critic of a correction"
         print(f"{trained.path} has been corrected: without model.residual the actor begins as it was before.")
     if "critic" in networks and "critic" not in trained.states:
         print(f"{trained.path} {cause}: the critic begins anew.")
