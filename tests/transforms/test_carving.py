@@ -15,24 +15,32 @@ from torchgrasp.transforms import AggregatePoints, DepthToPoints
 OBJECTS = ProceduralObjects("train", num_objects=3, num_grasps=100)
 
 
-def two_views(points: list[list[float]], depth: torch.Tensor) -> set[tuple[float, ...]]:
-    """What is left of points seen first, once a camera in the origin that looks along z sees `depth`."""
-    cloud = torch.zeros(2, len(points), 3)
-    cloud[0] = torch.tensor(points)
-    pictures = torch.stack((torch.ones_like(depth), depth))
+Points = list[list[float]]
+
+
+def see_views(views: list[tuple[Points, torch.Tensor]]) -> list[set[tuple[float, ...]]]:
+    """What is known after each view, target points and depth, of a camera in the origin that looks along z."""
+    cloud = torch.zeros(len(views), max(1, *(len(points) for points, _ in views)), 3)
+    for row, (points, _) in zip(cloud, views, strict=True):
+        row[: len(points)] = torch.tensor(points).reshape(-1, 3)
     steps = TensorDict(
         {
             "points": cloud,
-            "num_points": torch.tensor([[len(points)], [0]]),
-            "T_base_ee": torch.eye(4).expand(2, 4, 4),
-            "T_base_camera": torch.eye(4).expand(2, 4, 4),
-            "camera": {"depth": pictures},
+            "num_points": torch.tensor([[len(points)] for points, _ in views]),
+            "T_base_ee": torch.eye(4).expand(len(views), 4, 4),
+            "T_base_camera": torch.eye(4).expand(len(views), 4, 4),
+            "camera": {"depth": torch.stack([depth for _, depth in views])},
         },
-        [2],
+        [len(views)],
     )
-    last = AggregatePoints(alpha=1.0, carve=0.01, fov=math.pi / 2)(steps)[1]
-    kept = last["points"][: int(last["num_points"])]
-    return {tuple(round(value, 3) for value in row) for row in kept.tolist()}
+    seen = AggregatePoints(alpha=1.0, carve=0.01, fov=math.pi / 2)(steps)
+    kept = [step["points"][: int(step["num_points"])].tolist() for step in seen]
+    return [{tuple(round(value, 3) for value in row) for row in rows} for rows in kept]
+
+
+def two_views(points: Points, depth: torch.Tensor) -> set[tuple[float, ...]]:
+    """What is left of points seen first, once the camera sees `depth` and none of them."""
+    return see_views([(points, torch.ones_like(depth)), ([], depth)])[1]
 
 
 def test_a_point_before_what_is_seen_goes_and_one_on_or_behind_it_stays():
@@ -47,7 +55,21 @@ def test_points_out_of_view_stay():
 
 
 def test_where_nothing_returns_there_is_nothing():
-    assert two_views([[0.0, 0.0, 0.5]], torch.zeros(20, 20)) == set()
+    ahead, beside = [0.0, 0.0, 0.5], [2.0, 0.0, 0.5]
+    assert two_views([ahead, beside], torch.zeros(20, 20)) == {tuple(beside)}
+
+
+def test_a_target_that_has_gone_leaves_its_last_place_until_it_is_seen_again():
+    far, depth = [0.1, 0.0, 1.0], torch.ones(20, 20)
+    seen = [([[0.0, 0.0, 0.5], [0.2, 0.0, 0.5]], depth), ([[0.2, 0.1, 0.5], [0.4, 0.1, 0.5]], depth)]
+    known = see_views([*seen, ([], depth), ([], depth), ([far], depth), ([], depth)])
+    assert known[1] == {(0.2, 0.1, 0.5), (0.4, 0.1, 0.5)}
+    assert known[2] == known[3] == {(0.3, 0.1, 0.5)}
+    assert known[4] == known[5] == {tuple(far)}
+
+
+def test_where_no_target_was_seen_none_is_known():
+    assert see_views([([], torch.ones(20, 20))] * 2) == [set(), set()]
 
 
 def test_outlines_stay():

@@ -32,13 +32,16 @@ class _Union:
     """The views of one episode so far: points in the base frame and t, the number of views.
 
     Points are homogeneous, (M, 4) with a last column of ones, so that one product moves them; the rows
-    behind them are room for more.
+    behind them are room for more. Once all of them have gone, `last_place`, the mean of the last view that
+    showed any, is the only one.
     """
 
     def __init__(self) -> None:
         self.views = 0
         self.size = 0
+        self.last_place: np.ndarray | None = None  # (1, 3)
         self._rows = np.ones((1024, 4), dtype=np.float32)
+        self._has_gone = False
 
     @property
     def points(self) -> np.ndarray:
@@ -59,6 +62,17 @@ class _Union:
         self._rows[: len(index)] = self._rows[index]
         self.size = len(index)
 
+    def find_again(self) -> None:
+        """Forget where the target was last, since a view shows where it is."""
+        if self._has_gone:
+            self.size, self._has_gone = 0, False
+
+    def stand_in(self) -> None:
+        """Have the last place stand for a target of which no point is left."""
+        if self.size == 0 and self.last_place is not None:
+            self.append(self.last_place)
+            self._has_gone = True
+
 
 class AggregatePoints(HistoryTransform[_Union]):
     """Joins the views of an episode: s_t = T_t(union of T_i^-1(X_i) for i <= t) (Sec. 6.2).
@@ -70,7 +84,9 @@ class AggregatePoints(HistoryTransform[_Union]):
 
     With `carve` a point goes when the camera looks through the place where it was: the target has moved
     (Sec. 6.6, where the paper gives up aggregation). Neighbouring pixels must agree, so that outlines stay; a
-    pixel without a return is empty space, which a sensor with holes cannot claim.
+    pixel without a return is empty space, which a sensor with holes cannot claim. A target that has moved out
+    of sight leaves one point, the mean of those seen last, until it is seen again: without it nothing would
+    tell which way it went.
 
     Args:
         alpha: share that the draw shrinks by at every step; 1 keeps every point.
@@ -125,6 +141,7 @@ class AggregatePoints(HistoryTransform[_Union]):
                 memories[row].keep(np.flatnonzero(~seen_through))
         for row, rng in zip(rows, generators, strict=True):
             self._add_view(memories[row], points[row, : counts[row, 0]], T_base_ee[row], rng)
+            memories[row].stand_in()
         out = np.zeros((len(memories), self.max_points, 3), dtype=np.float32)
         for cloud, union, pose in zip(out, memories, T_base_ee, strict=True):
             # R^T (x - p) for rows x: [x 1] times R above -p^T R.
@@ -156,7 +173,11 @@ class AggregatePoints(HistoryTransform[_Union]):
         union.views += 1
         if drawn < len(seen):
             seen = seen.take(rng.permutation(len(seen))[:drawn], axis=0)
-        union.append(seen @ T_base_ee[:3, :3].T + T_base_ee[:3, 3])
+        if len(seen):
+            union.find_again()
+            seen = seen @ T_base_ee[:3, :3].T + T_base_ee[:3, 3]
+            union.last_place = seen.mean(axis=0, keepdims=True)
+            union.append(seen)
         if union.size > self.max_points:
             union.keep(rng.permutation(union.size)[: self.max_points])
 
