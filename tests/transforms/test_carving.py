@@ -19,7 +19,7 @@ Points = list[list[float]]
 
 
 def see_views(views: list[tuple[Points, torch.Tensor]]) -> list[set[tuple[float, ...]]]:
-    """What is known after each view, target points and depth, of a camera in the origin that looks along z."""
+    """What is known after each view, target points and depth: a camera in the origin looks along z."""
     cloud = torch.zeros(len(views), max(1, *(len(points) for points, _ in views)), 3)
     for row, (points, _) in zip(cloud, views, strict=True):
         row[: len(points)] = torch.tensor(points).reshape(-1, 3)
