@@ -1,5 +1,7 @@
 """Why episodes fail, by physics."""
 
+from collections.abc import Sequence
+
 import torch
 from tensordict.nn import TensorDictModule
 
@@ -13,9 +15,17 @@ OBJECTS = ProceduralObjects("train", num_objects=1, num_grasps=100)
 
 def run_always(*action: float) -> list[str | None]:
     """Causes of two episodes of twenty steps of one action."""
+    return run([action] * 20)
+
+
+def run(actions: Sequence[tuple[float, ...]]) -> list[str | None]:
+    """Causes of two episodes of twenty steps of these actions."""
     camera = RaycastCamera(CameraIntrinsics(12, 12))
+    following = iter(actions)
     policy = TensorDictModule(
-        lambda time_left: torch.tensor(action).expand(*time_left.shape[:-1], -1), ["time_left"], ["action"]
+        lambda time_left: torch.tensor(next(following)).expand(*time_left.shape[:-1], -1),
+        ["time_left"],
+        ["action"],
     )
     with SerialPool(
         {"test": lambda: GraspEnv(2, objects=OBJECTS, camera=camera, horizon=20, seed=0)}
@@ -31,3 +41,9 @@ def test_a_hand_that_stands_closes_on_nothing():
 def test_an_arm_that_is_sent_beyond_its_reach_is_told_from_one_that_misses():
     """Backwards from the object, 6 cm a step: 120 cm are more than its reach."""
     assert run_always(0.0, 0.0, -0.06, 0.0, 0.0, 0.0) == 2 * ["the arm could not follow"]
+
+
+def test_a_hand_that_turns_away_has_lost_sight_of_the_object():
+    """12 degrees a step for eight steps, then it stands."""
+    turn, stand = (0.0, 0.0, 0.0, 0.21, 0.0, 0.0), (0.0,) * 6
+    assert run([turn] * 8 + [stand] * 12) == 2 * ["the target was out of sight"]
