@@ -1,5 +1,6 @@
 """The exported files: the whole way from pictures to poses without torch, beside GraspAgent."""
 
+import itertools
 import json
 import re
 import subprocess
@@ -46,6 +47,20 @@ def check(runner, recording):
 
 def test_the_whole_way_gives_the_agent_s_actions(folder, recording):
     check(GraspPolicy(folder / "policy.json", T_ee_camera=T_EE_CAMERA), recording)
+
+
+def test_a_target_that_leaves_the_picture_gives_the_agent_s_actions(folder):
+    """From the eighth to the sixteenth step of an episode the camera looks through where the target was."""
+    steps = itertools.count()
+
+    def leave(shown):
+        if not 8 <= next(steps) % 30 < 16:
+            return shown
+        return {**shown, "depth": np.full_like(shown["depth"], 2.0), "mask": np.zeros_like(shown["mask"])}
+
+    left = record(episodes=4, spoil=leave)
+    assert sum(command.num_points == 1 for episode in left.episodes for _, command in episode) >= 20
+    check(GraspPolicy(folder / "policy.json", T_ee_camera=T_EE_CAMERA), left)
 
 
 def test_a_fine_picture_in_millimetres_with_holes_gives_the_agent_s_actions(folder):

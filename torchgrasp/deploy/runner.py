@@ -142,6 +142,7 @@ class _AggregatePoints:
     def begin(self) -> None:
         """Forget the episode."""
         self._views, self._points = 0, np.ones((0, 4), dtype=np.float32)
+        self._last_place, self._has_gone = self._points, False
 
     def __call__(self, seen: dict[str, Any]) -> None:
         rng, pose = self._draws(seen), seen["T_base_ee"]
@@ -149,6 +150,8 @@ class _AggregatePoints:
             through = self._find_seen_through(seen["depth"], seen["T_base_camera"], self._carve)
             self._points = self._points[~through]
         self._add_view(seen["points"], pose, rng)
+        if not len(self._points):
+            self._points, self._has_gone = self._last_place, True
         inverse = np.concatenate((pose[:3, :3], -pose[:3, 3:].T @ pose[:3, :3]))
         seen["points"] = self._points @ inverse
         seen["num_points"] = len(self._points)
@@ -160,7 +163,10 @@ class _AggregatePoints:
             seen = seen.take(rng.permutation(len(seen))[:drawn], axis=0)
         moved = seen @ pose[:3, :3].T + pose[:3, 3]
         rows = np.concatenate((moved, np.ones((len(moved), 1))), axis=1).astype(np.float32)
-        self._points = np.concatenate((self._points, rows))
+        if len(rows):
+            before = self._points[:0] if self._has_gone else self._points
+            self._points, self._has_gone = np.concatenate((before, rows)), False
+            self._last_place = rows.mean(axis=0, keepdims=True)
         if len(self._points) > self._max_points:
             self._points = self._points[rng.permutation(len(self._points))[: self._max_points]]
 
