@@ -5,7 +5,7 @@ import torch
 
 import torchgrasp
 from torchgrasp.commands.command_line import main
-from torchgrasp.modules import MirroredPolicy
+from torchgrasp.modules import MirroredPolicy, ResidualPolicy
 from torchgrasp.runs.weights import PRETRAINED, load_weights, save_weights
 
 
@@ -27,6 +27,19 @@ def test_one_policy_is_made_to_act_by_its_mean_over_reflections(tmp_path):
     assert policy.in_keys == itself.in_keys
     ours, theirs = (load_weights(path)[0]["actor"] for path in (output, PRETRAINED))
     assert all(torch.equal(ours[key], value) for key, value in theirs.items())
+
+
+def test_a_correction_is_left_out_on_demand(tmp_path, capsys):
+    plain, mean = tmp_path / "plain.safetensors", tmp_path / "mean.safetensors"
+    assert main(["average", "pretrained", "--uncorrected", "--output", str(plain)]) == 0
+    assert capsys.readouterr().out == f"Written to {plain}: actor of one policy\n"
+    assert main(["average", str(plain), "pretrained", "--uncorrected", "--output", str(mean)]) == 0
+    (states, config), (averaged, _) = load_weights(plain), load_weights(mean)
+    assert config["model"]["residual"] is None and config["model"]["mirrored"]
+    before = ResidualPolicy.find_corrected(load_weights(PRETRAINED)[0]["actor"])
+    assert all(torch.equal(states["actor"][key], value) for key, value in before.items())
+    assert all(torch.equal(averaged["actor"][key], value) for key, value in before.items())
+    torchgrasp.load_policy(str(plain))
 
 
 def change(path, *, drop=(), **sections):

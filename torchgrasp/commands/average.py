@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from torchgrasp.errors import ConfigError
+
 HELP = "average the weights of policies that were trained on from one another, or from one start"
 
 
@@ -20,6 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(RandomMirror); one policy is enough then",
     )
     parser.add_argument(
+        "--uncorrected",
+        action="store_true",
+        help="leave out what reinforcement corrected (model.residual) in those of the policies that have it; "
+        "one policy is enough then",
+    )
+    parser.add_argument(
         "--trust",
         nargs="+",
         default=[],
@@ -31,15 +39,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the mean, and name it."""
-    from torchgrasp.config.averaging import check_averaged
+    from torchgrasp.config.averaging import check_averaged, load_uncorrected
     from torchgrasp.config.weights_files import check_weights, weights_file
+    from torchgrasp.runs import load_weights
     from torchgrasp.runs.averaged_weights import average_weights
 
     for name in args.policies:
         check_weights("policy", name)
     files = [weights_file(Path(name)) for name in args.policies]
-    check_averaged(files, mirrored=args.mirrored, trust=args.trust)
-    names = average_weights(files, Path(args.output), mirrored=args.mirrored)
+    check_averaged(files, mirrored=args.mirrored, uncorrected=args.uncorrected, trust=args.trust)
+    if len(files) < 2 and not (args.mirrored or args.uncorrected):
+        raise ConfigError("One policy is its own mean: give two or more, --mirrored or --uncorrected.")
+    load = load_uncorrected if args.uncorrected else load_weights
+    names = average_weights(files, Path(args.output), mirrored=args.mirrored, load=load)
     count = f"{len(files)} policies" if len(files) > 1 else "one policy"
     print(f"Written to {args.output}: {', '.join(names)} of {count}")
     return 0

@@ -2,33 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torchgrasp.config.networks import make_mirror, rebuild_acting
+from torch import Tensor
+
+from torchgrasp.config.networks import make_mirror, rebuild_acting, without_correction
 from torchgrasp.config.provenance import find_differing
 from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules.policy import join_policy
+from torchgrasp.runs import load_weights
 
 # Of an actor: what it reads and how, which the shapes of its weights do not tell.
 _READS = ("goal_input", "table_input", "state_inputs")
 
 
-def check_averaged(paths: Sequence[Path], *, mirrored: bool, trust: Iterable[str] = ()) -> None:
+def load_uncorrected(path: Path) -> tuple[Mapping[str, Mapping[str, Tensor]], dict[str, Any]]:
+    """What `load_weights` gives of a file, as the policy was before reinforcement corrected it, if it did."""
+    plain = without_correction(TrainedWeights(path, *load_weights(path)))
+    return plain.states, plain.config
+
+
+def check_averaged(
+    paths: Sequence[Path], *, mirrored: bool, uncorrected: bool = False, trust: Iterable[str] = ()
+) -> None:
     """Refuse policies that see, move or act otherwise than the first, before their mean is made.
 
     Args:
         paths: weights files.
         mirrored: whether the mean acts by the mean over reflections.
+        uncorrected: whether corrections are left out.
         trust: packages besides torchgrasp and TorchRL whose classes the files may name.
 
     Raises:
         ConfigError: names what differs, or why a policy cannot act by the mean over reflections.
         CheckpointError: where a file cannot be read.
     """
-    first, *others = [read_trained(path, trust) for path in paths]
+    policies = [read_trained(path, trust) for path in paths]
+    first, *others = map(without_correction, policies) if uncorrected else policies
     for other in others:
         if differing := find_differing(*map(_describe_task, (first, other))):
             raise ConfigError(

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -16,7 +17,16 @@ _OF_ONE_RUN = {"resume": None, "init": None, "output_dir": "outputs"}
 _REMEDY = "give policies that were trained on from one another."
 
 
-def average_weights(paths: Sequence[Path], output: Path, *, mirrored: bool = False) -> list[str]:
+Loaded = tuple[Mapping[str, Mapping[str, Tensor]], dict[str, Any]]
+
+
+def average_weights(
+    paths: Sequence[Path],
+    output: Path,
+    *,
+    mirrored: bool = False,
+    load: Callable[[Path], Loaded] = load_weights,
+) -> list[str]:
     """Write the mean of the weights files `paths` to `output`; returns the names of the networks in it.
 
     Networks that were trained on from the same weights lie in one basin: the mean of their weights often
@@ -25,18 +35,18 @@ def average_weights(paths: Sequence[Path], output: Path, *, mirrored: bool = Fal
     configuration is that of the first file, without what it says of its run.
 
     Args:
-        paths: two files of `save_weights` or more.
+        paths: files of `save_weights`; the mean of one is as it is.
         output: the file to write, whole or not at all.
         mirrored: have the policy act by the mean over reflections as well (`modules.MirroredPolicy`).
-            One file is enough then.
+        load: gives the state_dicts by network and the configuration of a file.
 
     Raises:
-        ConfigError: for less than two files, or networks of different shapes.
+        ConfigError: for no files, or networks of different shapes.
         CheckpointError: where a file cannot be read.
     """
-    if len(paths) < 2 and not mirrored:
-        raise ConfigError("There is nothing to average in one policy: give two or more, or --mirrored.")
-    (first, config), *others = [load_weights(path) for path in paths]
+    if not paths:
+        raise ConfigError("There is no policy to average: give one or more.")
+    (first, config), *others = [load(path) for path in paths]
     names = [name for name in first if all(name in states for states, _ in others)]
     if not names:
         raise ConfigError(f"{paths[0]} and the others have no network in common: give policies alike.")
@@ -58,7 +68,7 @@ def average_weights(paths: Sequence[Path], output: Path, *, mirrored: bool = Fal
 
 
 def _check_alike(
-    name: str, ours: dict[str, Tensor], theirs: dict[str, Tensor], our_path: Path, path: Path
+    name: str, ours: Mapping[str, Tensor], theirs: Mapping[str, Tensor], our_path: Path, path: Path
 ) -> None:
     one, other = ({key: (value.shape, value.dtype) for key, value in each.items()} for each in (ours, theirs))
     differing = sorted(key for key in {*one, *other} if one.get(key) != other.get(key))
