@@ -33,13 +33,25 @@ def test_a_correction_is_left_out_on_demand(tmp_path, capsys):
     plain, mean = tmp_path / "plain.safetensors", tmp_path / "mean.safetensors"
     assert main(["average", "pretrained", "--uncorrected", "--output", str(plain)]) == 0
     assert capsys.readouterr().out == f"Written to {plain}: actor of one policy\n"
-    assert main(["average", str(plain), "pretrained", "--uncorrected", "--output", str(mean)]) == 0
-    (states, config), (averaged, _) = load_weights(plain), load_weights(mean)
+    states, config = load_weights(plain)
     assert config["model"]["residual"] is None and config["model"]["mirrored"]
     before = ResidualPolicy.find_corrected(load_weights(PRETRAINED)[0]["actor"])
     assert all(torch.equal(states["actor"][key], value) for key, value in before.items())
-    assert all(torch.equal(averaged["actor"][key], value) for key, value in before.items())
     torchgrasp.load_policy(str(plain))
+    moved = {"actor": {key: value + 1 for key, value in before.items()}}
+    save_weights(plain, moved, {**config, "model": {**config["model"], "mirrored": False}})
+    for order in ([str(plain), "pretrained"], ["pretrained", str(plain)]):
+        assert main(["average", *order, "--output", str(mean)]) == 1
+        error = capsys.readouterr().err
+        assert "by --uncorrected, or have the mean act over reflections by --mirrored" in error
+        assert main(["average", *order, "--uncorrected", "--mirrored", "--output", str(mean)]) == 0
+        averaged, told = load_weights(mean)
+        assert told["model"]["residual"] is None and told["model"]["mirrored"]
+        for key, value in before.items():
+            torch.testing.assert_close(averaged["actor"][key], value + 0.5)
+        mean.unlink()
+    assert main(["average", str(plain), "--uncorrected", "--output", str(mean)]) == 1
+    assert "no correction to leave out" in capsys.readouterr().err and not mean.exists()
 
 
 def change(path, *, drop=(), **sections):

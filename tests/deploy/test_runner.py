@@ -50,11 +50,11 @@ def test_the_whole_way_gives_the_agent_s_actions(folder, recording):
 
 
 def test_a_target_that_leaves_the_picture_gives_the_agent_s_actions(folder):
-    """From the eighth to the sixteenth step of an episode the camera looks through where the target was."""
-    steps = itertools.count()
+    """For eight steps of an episode the camera looks through where the target was."""
+    steps, horizon = itertools.count(), 30
 
     def leave(shown):
-        if not 8 <= next(steps) % 30 < 16:
+        if not 8 <= next(steps) % horizon < 16:
             return shown
         return {**shown, "depth": np.full_like(shown["depth"], 2.0), "mask": np.zeros_like(shown["mask"])}
 

@@ -2,12 +2,16 @@
 
 from collections.abc import Sequence
 
+import pytest
 import torch
+from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 from torchgrasp.envs import GraspEnv
 from torchgrasp.objects import ProceduralObjects
+from torchgrasp.planning import NO_PLANNER, PlanStatus
 from torchgrasp.rollouts.episode_pool import SerialPool
+from torchgrasp.rollouts.outcomes import failure_cause
 from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 
 OBJECTS = ProceduralObjects("train", num_objects=1, num_grasps=100)
@@ -47,3 +51,44 @@ def test_a_hand_that_turns_away_has_lost_sight_of_the_object():
     """12 degrees a step for eight steps, then it stands."""
     turn, stand = (0.0, 0.0, 0.0, 0.21, 0.0, 0.0), (0.0,) * 6
     assert run([turn] * 8 + [stand] * 12) == 2 * ["the target was out of sight"]
+
+
+def episode(**told: torch.Tensor) -> TensorDict:
+    """Four steps that fail; the hand and the object stand."""
+    poses = torch.eye(4).expand(4, 4, 4)
+    after = {"reward": torch.zeros(4, 1), "T_base_object": poses, **told}
+    steps = {"action": torch.zeros(4, 6), "T_base_ee": poses}
+    if (status := after.pop("plan_status", None)) is not None:
+        steps["plan_status"] = status
+    return TensorDict({**steps, "next": after}, [4])
+
+
+def views(*seen: bool) -> torch.Tensor:
+    return torch.tensor(seen)[:, None, None].expand(-1, 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("steps", "cause"),
+    [
+        (episode(camera={"mask": views(1, 0, 0, 0)}), "the target was out of sight"),
+        (episode(camera={"mask": views(0, 1, 0, 0)}), "the fingers closed on nothing"),
+        (
+            episode(camera={"mask": views(0, 0, 0, 0)}, overhead={"mask": views(0, 0, 0, 1)}),
+            "the fingers closed on nothing",
+        ),
+        (
+            episode(
+                camera={"mask": views(0, 0, 0, 0)},
+                plan_status=torch.full((4, 1), PlanStatus.OK.number),
+            ),
+            "the fingers closed on nothing",
+        ),
+        (
+            episode(camera={"mask": views(0, 0, 0, 0)}, plan_status=torch.full((4, 1), NO_PLANNER)),
+            "the target was out of sight",
+        ),
+        (episode(), "the fingers closed on nothing"),
+    ],
+)
+def test_who_looks_has_lost_the_target_where_no_last_view_of_any_camera_shows_it(steps, cause):
+    assert failure_cause(steps, 0.0, unstable=False) == cause

@@ -13,8 +13,6 @@ from torchgrasp.sim import CameraIntrinsics, RaycastCamera
 from torchgrasp.transforms import AggregatePoints, DepthToPoints
 
 OBJECTS = ProceduralObjects("train", num_objects=3, num_grasps=100)
-
-
 Points = list[list[float]]
 
 
@@ -60,12 +58,35 @@ def test_where_nothing_returns_there_is_nothing():
 
 
 def test_a_target_that_has_gone_leaves_its_last_place_until_it_is_seen_again():
-    far, depth = [0.1, 0.0, 1.0], torch.ones(20, 20)
+    far, depth, near = [0.1, 0.0, 1.0], torch.ones(20, 20), torch.full((20, 20), 0.4)
     seen = [([[0.0, 0.0, 0.5], [0.2, 0.0, 0.5]], depth), ([[0.2, 0.1, 0.5], [0.4, 0.1, 0.5]], depth)]
-    known = see_views([*seen, ([], depth), ([], depth), ([far], depth), ([], depth)])
+    away = ([], depth)
+    known = see_views([*seen, away, ([], near), ([far], near), ([], 2 * depth)])
     assert known[1] == {(0.2, 0.1, 0.5), (0.4, 0.1, 0.5)}
-    assert known[2] == known[3] == {(0.3, 0.1, 0.5)}
-    assert known[4] == known[5] == {tuple(far)}
+    assert known[2] == known[3] == {(0.3, 0.1, 0.5)}  # behind what is near it is not seen through
+    assert known[4] == {tuple(far)}
+    assert known[5] == {tuple(far)}  # its own last place
+
+
+def test_each_world_has_its_own_last_place_until_its_reset():
+    def state(counts: list[int]) -> TensorDict:
+        """Two worlds; where there is a point, it lies 0.5 ahead."""
+        return TensorDict(
+            {
+                "points": torch.tensor([0.0, 0.0, 0.5]).expand(2, 1, 3),
+                "num_points": torch.tensor(counts)[:, None],
+                "T_base_ee": torch.eye(4).expand(2, 4, 4),
+                "T_base_camera": torch.eye(4).expand(2, 4, 4),
+                "camera": {"depth": torch.ones(2, 20, 20)},
+            },
+            [2],
+        )
+
+    transform = AggregatePoints(carve=0.01, fov=math.pi / 2)
+    assert transform._reset(TensorDict({}, [2]), state([1, 0]))["num_points"].tolist() == [[1], [0]]
+    assert transform._step(TensorDict({}, [2]), state([0, 0]))["num_points"].tolist() == [[1], [0]]
+    again = TensorDict({"_reset": torch.tensor([[True], [False]])}, [2])
+    assert transform._reset(again, state([0, 0]))["num_points"].tolist() == [[0], [0]]
 
 
 def test_where_no_target_was_seen_none_is_known():

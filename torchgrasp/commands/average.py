@@ -1,4 +1,4 @@
-"""``torchgrasp average``: one policy of several that were trained on from one start, or of reflections."""
+"""``torchgrasp average``: one policy of several that were trained on from one start, or of one, changed."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ def run(args: argparse.Namespace) -> int:
     from torchgrasp.runs import load_weights
     from torchgrasp.runs.averaged_weights import average_weights
 
+    if len(args.policies) < 2 and not (args.mirrored or args.uncorrected):
+        raise ConfigError("One policy is its own mean: give two or more, --mirrored or --uncorrected.")
     for name in args.policies:
         check_weights("policy", name)
     files = [weights_file(Path(name)) for name in args.policies]
     check_averaged(files, mirrored=args.mirrored, uncorrected=args.uncorrected, trust=args.trust)
-    if len(files) < 2 and not (args.mirrored or args.uncorrected):
-        raise ConfigError("One policy is its own mean: give two or more, --mirrored or --uncorrected.")
     load = load_uncorrected if args.uncorrected else load_weights
     names = average_weights(files, Path(args.output), mirrored=args.mirrored, load=load)
     count = f"{len(files)} policies" if len(files) > 1 else "one policy"

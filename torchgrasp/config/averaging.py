@@ -1,26 +1,33 @@
-"""What policies must have in common, so that their mean is a policy."""
+"""What policies must have in common, so that their mean is a policy, and what can be left out of them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
-
 from torchgrasp.config.networks import make_mirror, rebuild_acting, without_correction
 from torchgrasp.config.provenance import find_differing
+from torchgrasp.config.residual import has_residual
 from torchgrasp.config.weights_files import TrainedWeights, read_trained
 from torchgrasp.errors import ConfigError
 from torchgrasp.modules.policy import join_policy
 from torchgrasp.runs import load_weights
+from torchgrasp.runs.averaged_weights import Loaded
 
 # Of an actor: what it reads and how, which the shapes of its weights do not tell.
 _READS = ("goal_input", "table_input", "state_inputs")
+_REMEDIES = {
+    "model.residual": ", or leave the correction out by --uncorrected",
+    "model.mirrored": ", or have the mean act over reflections by --mirrored",
+}
 
 
-def load_uncorrected(path: Path) -> tuple[Mapping[str, Mapping[str, Tensor]], dict[str, Any]]:
-    """What `load_weights` gives of a file, as the policy was before reinforcement corrected it, if it did."""
+def load_uncorrected(path: Path) -> Loaded:
+    """What `load_weights` gives of a file, as the policy was before reinforcement corrected it, if it did.
+
+    The file has been checked (`check_averaged`).
+    """
     plain = without_correction(TrainedWeights(path, *load_weights(path)))
     return plain.states, plain.config
 
@@ -52,8 +59,12 @@ def check_averaged(
         if names := [name for name in one if one[name] != another[name]]:
             raise ConfigError(
                 f"{other.path} acts otherwise than {first.path}, by its {', '.join(names)}: average policies "
-                "that act alike."
+                f"that act alike{''.join(_REMEDIES.get(name, '') for name in names)}."
             )
+    if uncorrected:
+        if not any(has_residual(policy.config) for policy in policies):
+            raise ConfigError(f"{first.path} has no correction to leave out: leave out --uncorrected.")
+        rebuild_acting(first)
     if mirrored:
         _check_mirrored(first)
 

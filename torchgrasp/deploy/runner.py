@@ -39,7 +39,7 @@ class Step:
         action: (6,) the same relative to the hand: metres and intrinsic XYZ Euler angles.
         close: whether the fingers close there.
         goal: (4, 4) the grasp that the policy has in mind, base frame; NaN where it tells none.
-        num_points: of the target that the policy was shown.
+        num_points: of the target that the policy was shown; 1 where it has gone.
         problem: why the hand stays where it is, and the step does not count; None where the policy acts.
     """
 
@@ -159,14 +159,15 @@ class _AggregatePoints:
     def _add_view(self, seen: np.ndarray, pose: np.ndarray, rng: np.random.Generator) -> None:
         drawn = int(np.ceil(self._alpha**self._views * len(seen) - _ROUNDING))
         self._views += 1
-        if drawn < len(seen):
-            seen = seen.take(rng.permutation(len(seen))[:drawn], axis=0)
         moved = seen @ pose[:3, :3].T + pose[:3, 3]
         rows = np.concatenate((moved, np.ones((len(moved), 1))), axis=1).astype(np.float32)
         if len(rows):
-            before = self._points[:0] if self._has_gone else self._points
-            self._points, self._has_gone = np.concatenate((before, rows)), False
             self._last_place = rows.mean(axis=0, keepdims=True)
+            if self._has_gone:
+                self._points, self._has_gone = self._points[:0], False
+        if drawn < len(rows):
+            rows = rows.take(rng.permutation(len(rows))[:drawn], axis=0)
+        self._points = np.concatenate((self._points, rows))
         if len(self._points) > self._max_points:
             self._points = self._points[rng.permutation(len(self._points))[: self._max_points]]
 

@@ -13,7 +13,7 @@ _EMPTY = 1e-3  # metres between pads that hold nothing
 # The arm was stopped where this many steps ended that far, in metres, from where they were to end, or that
 # much, in radians, from how the hand was to be turned: it gives way in its rotation first.
 _STOPPED_STEPS, _STOPPED_SHORT, _STOPPED_TURN = 3, 0.02, 0.1
-_UNSEEN_STEPS = 3  # so many last views, all without a pixel of the target, have lost it
+_UNSEEN_STEPS = 3  # so many last views without a pixel of the target mean that it was lost
 
 
 def failure_cause(steps: TensorDictBase, gap: float, *, unstable: bool) -> str | None:
@@ -40,7 +40,8 @@ def failure_cause(steps: TensorDictBase, gap: float, *, unstable: bool) -> str |
         return "slipped out of the fingers"
     if _count_stopped(steps) >= _STOPPED_STEPS:
         return "the arm could not follow"
-    if _has_lost_sight(steps):
+    looked = status is None or int(status[-1, 0]) == NO_PLANNER  # planners know without looking
+    if looked and _has_lost_sight(steps):
         return "the target was out of sight"
     return "the fingers closed on nothing"
 
@@ -57,6 +58,7 @@ def _count_stopped(steps: TensorDictBase) -> int:
 
 
 def _has_lost_sight(steps: TensorDictBase) -> bool:
-    """Whether the wrist camera sees nothing of the target in the last views of (T,) steps."""
-    mask = steps.get(("next", *keys.MASK), None)
-    return mask is not None and not mask[-_UNSEEN_STEPS:].any()
+    """Whether the target is in none of the last views of (T,) steps, of all cameras, as they are shown."""
+    masks = [steps.get(("next", *key), None) for key in (keys.MASK, keys.OVERHEAD_MASK)]
+    views = [mask[-_UNSEEN_STEPS:] for mask in masks if mask is not None]
+    return bool(views) and not any(view.any() for view in views)

@@ -15,9 +15,7 @@ from torchgrasp.runs.weights import load_weights, save_weights
 # What a run's own configuration says of files: of no meaning for those who get the weights.
 _OF_ONE_RUN = {"resume": None, "init": None, "output_dir": "outputs"}
 _REMEDY = "give policies that were trained on from one another."
-
-
-Loaded = tuple[Mapping[str, Mapping[str, Tensor]], dict[str, Any]]
+Loaded = tuple[Mapping[str, Mapping[str, Tensor]], dict[str, Any]]  # state_dicts by network, configuration
 
 
 def average_weights(
@@ -35,13 +33,13 @@ def average_weights(
     configuration is that of the first file, without what it says of its run.
 
     Args:
-        paths: files of `save_weights`; the mean of one is as it is.
+        paths: files of `save_weights`; the mean of one is that one.
         output: the file to write, whole or not at all.
         mirrored: have the policy act by the mean over reflections as well (`modules.MirroredPolicy`).
-        load: gives the state_dicts by network and the configuration of a file.
+        load: gives what a file holds.
 
     Raises:
-        ConfigError: for no files, or networks of different shapes.
+        ConfigError: for no files, no network in common, or networks of different shapes.
         CheckpointError: where a file cannot be read.
     """
     if not paths:

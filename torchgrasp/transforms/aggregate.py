@@ -62,8 +62,9 @@ class _Union:
         self._rows[: len(index)] = self._rows[index]
         self.size = len(index)
 
-    def find_again(self) -> None:
-        """Forget where the target was last, since a view shows where it is."""
+    def find_again(self, seen: np.ndarray) -> None:
+        """Remember where the target is by the (n, 3) points of a view, and not where it was last."""
+        self.last_place = seen.mean(axis=0, keepdims=True)
         if self._has_gone:
             self.size, self._has_gone = 0, False
 
@@ -84,9 +85,9 @@ class AggregatePoints(HistoryTransform[_Union]):
 
     With `carve` a point goes when the camera looks through the place where it was: the target has moved
     (Sec. 6.6, where the paper gives up aggregation). Neighbouring pixels must agree, so that outlines stay; a
-    pixel without a return is empty space, which a sensor with holes cannot claim. A target that has moved out
-    of sight leaves one point, the mean of those seen last, until it is seen again: without it nothing would
-    tell which way it went.
+    pixel without a return is empty space, which a sensor with holes cannot claim. Once all points have gone
+    and none is in view, one stands for the target until it is seen again, the mean of those seen last:
+    without it nothing would tell which way the target went.
 
     Args:
         alpha: share that the draw shrinks by at every step; 1 keeps every point.
@@ -171,13 +172,12 @@ class AggregatePoints(HistoryTransform[_Union]):
     ) -> None:
         drawn = math.ceil(self.alpha**union.views * len(seen) - _ROUNDING)
         union.views += 1
+        seen = seen @ T_base_ee[:3, :3].T + T_base_ee[:3, 3]
+        if len(seen):
+            union.find_again(seen)
         if drawn < len(seen):
             seen = seen.take(rng.permutation(len(seen))[:drawn], axis=0)
-        if len(seen):
-            union.find_again()
-            seen = seen @ T_base_ee[:3, :3].T + T_base_ee[:3, 3]
-            union.last_place = seen.mean(axis=0, keepdims=True)
-            union.append(seen)
+        union.append(seen)
         if union.size > self.max_points:
             union.keep(rng.permutation(union.size)[: self.max_points])
 
