@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import Compose, TransformedEnv
@@ -59,13 +60,25 @@ def test_where_nothing_returns_there_is_nothing():
 
 def test_a_target_that_has_gone_leaves_its_last_place_until_it_is_seen_again():
     far, depth, near = [0.1, 0.0, 1.0], torch.ones(20, 20), torch.full((20, 20), 0.4)
-    seen = [([[0.0, 0.0, 0.5], [0.2, 0.0, 0.5]], depth), ([[0.2, 0.1, 0.5], [0.4, 0.1, 0.5]], depth)]
-    away = ([], depth)
-    known = see_views([*seen, away, ([], near), ([far], near), ([], 2 * depth)])
-    assert known[1] == {(0.2, 0.1, 0.5), (0.4, 0.1, 0.5)}
-    assert known[2] == known[3] == {(0.3, 0.1, 0.5)}  # behind what is near it is not seen through
-    assert known[4] == {tuple(far)}
-    assert known[5] == {tuple(far)}  # its own last place
+    seen = ([[0.2, 0.1, 0.5], [0.4, 0.1, 0.5]], depth)
+    known = see_views([seen, ([], depth), ([], near), ([far], near), ([], 2 * depth)])
+    assert known[0] == {(0.2, 0.1, 0.5), (0.4, 0.1, 0.5)}
+    assert known[1] == known[2] == {(0.3, 0.1, 0.5)}  # behind what is near it is not seen through
+    assert known[3] == {tuple(far)}
+    assert known[4] == {tuple(far)}  # its own last place
+
+
+def test_a_target_that_has_gone_goes_on_as_it_went_ever_more_slowly():
+    depth = torch.ones(20, 20)
+    seen = [([[x, 0.0, 0.5]], depth) for x in (0.0, 0.1, 0.12)]  # the largest of the last shifts counts
+    *_, first, second, third = see_views([*seen, *[([], depth)] * 3])
+    steps = 0.1 * torch.tensor([0.85, 0.85**2, 0.85**3])
+    expected = (0.12 + steps.cumsum(0)).tolist()
+    assert [list(point) for point in (*first, *second, *third)] == [
+        pytest.approx([x, 0.0, 0.5], abs=1e-3) for x in expected
+    ]
+    again = see_views([*seen, ([], depth), ([[-0.3, 0.0, 0.5]], depth), ([], depth)])
+    assert again[-1] == {(-0.3, 0.0, 0.5)}  # nobody knows how it came there
 
 
 def test_each_world_has_its_own_last_place_until_its_reset():

@@ -24,6 +24,7 @@ FORMAT = 1
 _UNKNOWN = 1e-3  # metres: where a sensor tells nothing, something may stand right before it
 _TICKS = 1_000_000
 _ROUNDING = 1e-9
+_SHIFTS, _SLOWING = 3, 0.85  # of a target out of sight, see AggregatePoints
 
 
 class PolicyError(ValueError):
@@ -142,7 +143,8 @@ class _AggregatePoints:
     def begin(self) -> None:
         """Forget the episode."""
         self._views, self._points = 0, np.ones((0, 4), dtype=np.float32)
-        self._last_place, self._has_gone = self._points, False
+        self._place, self._pace, self._shifts, self._seen_at = None, np.zeros(4), [], -1
+        self._has_gone = False
 
     def __call__(self, seen: dict[str, Any]) -> None:
         rng, pose = self._draws(seen), seen["T_base_ee"]
@@ -150,8 +152,10 @@ class _AggregatePoints:
             through = self._find_seen_through(seen["depth"], seen["T_base_camera"], self._carve)
             self._points = self._points[~through]
         self._add_view(seen["points"], pose, rng)
-        if not len(self._points):
-            self._points, self._has_gone = self._last_place, True
+        if self._place is not None and (self._has_gone or not len(self._points)):
+            self._pace = _SLOWING * self._pace
+            self._place = self._points = (self._place + self._pace).astype(np.float32)
+            self._has_gone = True
         inverse = np.concatenate((pose[:3, :3], -pose[:3, 3:].T @ pose[:3, :3]))
         seen["points"] = self._points @ inverse
         seen["num_points"] = len(self._points)
@@ -162,14 +166,22 @@ class _AggregatePoints:
         moved = seen @ pose[:3, :3].T + pose[:3, 3]
         rows = np.concatenate((moved, np.ones((len(moved), 1))), axis=1).astype(np.float32)
         if len(rows):
-            self._last_place = rows.mean(axis=0, keepdims=True)
-            if self._has_gone:
-                self._points, self._has_gone = self._points[:0], False
+            self._find(rows)
         if drawn < len(rows):
             rows = rows.take(rng.permutation(len(rows))[:drawn], axis=0)
         self._points = np.concatenate((self._points, rows))
         if len(self._points) > self._max_points:
             self._points = self._points[rng.permutation(len(self._points))[: self._max_points]]
+
+    def _find(self, rows: np.ndarray) -> None:
+        """Where the target is, and how it goes on once it is out of sight."""
+        place = rows.mean(axis=0, keepdims=True)
+        followed = self._place is not None and self._seen_at == self._views - 1
+        self._shifts = [*self._shifts, place - self._place][-_SHIFTS:] if followed else []
+        self._place, self._seen_at = place, self._views
+        self._pace = max(self._shifts, key=np.linalg.norm, default=np.zeros_like(place))
+        if self._has_gone:
+            self._points, self._has_gone = self._points[:0], False
 
     def _find_seen_through(self, depth: np.ndarray, T_base_camera: np.ndarray, carve: float) -> np.ndarray:
         height, width = depth.shape

@@ -26,21 +26,47 @@ from torchgrasp.transforms.history import HistoryTransform
 
 # Powers of alpha carry errors that must not add a point: 0.9**2 * 100 is 81.00000000000001 in floats.
 _ROUNDING = 1e-9
+# A target out of sight goes on by the largest of its last shifts, as part of it may have left the picture in
+# the others, and with every step by this share of the step before.
+_SHIFTS, _SLOWING = 3, 0.85
+
+
+class _Track:
+    """Where the target is, (1, 3) in the base frame: the mean of what is seen of it, then a guess."""
+
+    def __init__(self) -> None:
+        self.place: np.ndarray | None = None
+        self._pace = np.zeros((1, 3), dtype=np.float32)
+        self._shifts: list[np.ndarray] = []
+        self._seen_at = -1
+
+    def see(self, points: np.ndarray, view: int) -> None:
+        """Take it to be where the (n, 3) points of this view are."""
+        place = points.mean(axis=0, keepdims=True)
+        followed = self.place is not None and self._seen_at == view - 1
+        self._shifts = [*self._shifts, place - self.place][-_SHIFTS:] if followed else []
+        self.place, self._seen_at = place, view
+        self._pace = max(self._shifts, key=np.linalg.norm, default=np.zeros_like(place))
+
+    def go_on(self) -> None:
+        """Take it to go on as it went when it was seen, ever more slowly."""
+        if self.place is not None:
+            self._pace = _SLOWING * self._pace
+            self.place = self.place + self._pace
 
 
 class _Union:
     """The views of one episode so far: points in the base frame and t, the number of views.
 
     Points are homogeneous, (M, 4) with a last column of ones, so that one product moves them; the rows
-    behind them are room for more. Once all of them have gone, `last_place`, the mean of the last view that
-    showed any, is the only one.
+    behind them are room for more. Once all of them have gone, the only one is where the target may be.
     """
 
     def __init__(self) -> None:
         self.views = 0
         self.size = 0
-        self.last_place: np.ndarray | None = None  # (1, 3)
         self._rows = np.ones((1024, 4), dtype=np.float32)
+        self._track = _Track()
         self._has_gone = False
 
     @property
@@ -62,17 +88,18 @@ class _Union:
         self._rows[: len(index)] = self._rows[index]
         self.size = len(index)
 
-    def find_again(self, seen: np.ndarray) -> None:
-        """Remember where the target is by the (n, 3) points of a view, and not where it was last."""
-        self.last_place = seen.mean(axis=0, keepdims=True)
+    def find(self, seen: np.ndarray) -> None:
+        """Know where the target is by the (n, 3) points of this view, and forget where it might have been."""
+        self._track.see(seen, self.views)
         if self._has_gone:
             self.size, self._has_gone = 0, False
 
     def stand_in(self) -> None:
-        """Have the last place stand for a target of which no point is left."""
-        if self.size == 0 and self.last_place is not None:
-            self.append(self.last_place)
-            self._has_gone = True
+        """Have where the target may be stand for it, if no point of it is left."""
+        if (self.size == 0 or self._has_gone) and self._track.place is not None:
+            self._track.go_on()
+            self.size, self._has_gone = 0, True
+            self.append(self._track.place)
 
 
 class AggregatePoints(HistoryTransform[_Union]):
@@ -86,8 +113,8 @@ class AggregatePoints(HistoryTransform[_Union]):
     With `carve` a point goes when the camera looks through the place where it was: the target has moved
     (Sec. 6.6, where the paper gives up aggregation). Neighbouring pixels must agree, so that outlines stay; a
     pixel without a return is empty space, which a sensor with holes cannot claim. Once all points have gone
-    and none is in view, one stands for the target until it is seen again, the mean of those seen last:
-    without it nothing would tell which way the target went.
+    and none is in view, one stands for the target until it is seen again: it goes on from the mean of those
+    seen last as that went, ever more slowly. Without it nothing would tell which way the target went.
 
     Args:
         alpha: share that the draw shrinks by at every step; 1 keeps every point.
@@ -174,7 +201,7 @@ class AggregatePoints(HistoryTransform[_Union]):
         union.views += 1
         seen = seen @ T_base_ee[:3, :3].T + T_base_ee[:3, 3]
         if len(seen):
-            union.find_again(seen)
+            union.find(seen)
         if drawn < len(seen):
             seen = seen.take(rng.permutation(len(seen))[:drawn], axis=0)
         union.append(seen)
