@@ -16,7 +16,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | JOINTS, JOINT_VELOCITIES | *, 9 | 7 arm angles, 2 finger positions (m), and their rates |
 | TIME_LEFT | *, 1 | (T - t) / T |
 | POINTS | *, N, C | network input, ee frame: xyz, then a flag that is 1 for gripper points |
-| NUM_POINTS | *, 1 int64 | rows of POINTS that were observed, not filled in; 1 where the target has gone |
+| NUM_POINTS | *, 1 int64 | rows of POINTS that were observed, not filled in; 1, a guess, once all have gone |
 | TABLE_PLANE | *, 4 | the table in the ee frame: upward unit normal, then the hand's height (m) |
 | WRIST_ANGLE | *, 1 | angle of the arm's last joint (rad) |
 | IMAGE | *, C, S, S | network input of image policies: colours in [0, 1], depth in metres, mask 0 or 1 |

@@ -17,7 +17,7 @@ class GraspCommand:
             angles. `T_base_ee` may lie higher, where the hand would meet the table.
         close: (*) bool, whether the fingers close when that pose is reached.
         goal: (*, 4, 4) the grasp that the policy has in mind, base frame; NaN where it tells none.
-        num_points: (*) how many points of the target the policy has been shown; 1 where it has gone.
+        num_points: (*) how many points of the target the policy was shown; 1, a guess, once all have gone.
         age: (*) seconds since the target was last seen.
         problems: what kept the policy from acting, for each arm; None where it acts. With a problem the hand
             stays, or goes back to where it last saw the target.

@@ -40,7 +40,7 @@ class Step:
         action: (6,) the same relative to the hand: metres and intrinsic XYZ Euler angles.
         close: whether the fingers close there.
         goal: (4, 4) the grasp that the policy has in mind, base frame; NaN where it tells none.
-        num_points: of the target that the policy was shown; 1 where it has gone.
+        num_points: of the target that the policy was shown; 1, a guess, once all of them have gone.
         problem: why the hand stays where it is, and the step does not count; None where the policy acts.
     """
 
@@ -152,7 +152,8 @@ class _AggregatePoints:
             through = self._find_seen_through(seen["depth"], seen["T_base_camera"], self._carve)
             self._points = self._points[~through]
         self._add_view(seen["points"], pose, rng)
-        if self._place is not None and (self._has_gone or not len(self._points)):
+        unseen = self._carve is not None and self._place is not None and self._seen_at < self._views
+        if unseen and (self._has_gone or not len(self._points)):
             self._pace = _SLOWING * self._pace
             self._place = self._points = (self._place + self._pace).astype(np.float32)
             self._has_gone = True

@@ -48,6 +48,10 @@ class _Track:
         self.place, self._seen_at = place, view
         self._pace = max(self._shifts, key=np.linalg.norm, default=np.zeros_like(place))
 
+    def is_seen(self, view: int) -> bool:
+        """Whether this view shows it."""
+        return self._seen_at == view
+
     def go_on(self) -> None:
         """Take it to go on as it went when it was seen, ever more slowly."""
         if self.place is not None:
@@ -95,8 +99,9 @@ class _Union:
             self.size, self._has_gone = 0, False
 
     def stand_in(self) -> None:
-        """Have where the target may be stand for it, if no point of it is left."""
-        if (self.size == 0 or self._has_gone) and self._track.place is not None:
+        """Have where the target may be stand for it, if no point of it is left and this view shows none."""
+        known = self._track.place is not None and not self._track.is_seen(self.views)
+        if known and (self.size == 0 or self._has_gone):
             self._track.go_on()
             self.size, self._has_gone = 0, True
             self.append(self._track.place)
@@ -169,7 +174,8 @@ class AggregatePoints(HistoryTransform[_Union]):
                 memories[row].keep(np.flatnonzero(~seen_through))
         for row, rng in zip(rows, generators, strict=True):
             self._add_view(memories[row], points[row, : counts[row, 0]], T_base_ee[row], rng)
-            memories[row].stand_in()
+            if self.carve is not None:
+                memories[row].stand_in()
         out = np.zeros((len(memories), self.max_points, 3), dtype=np.float32)
         for cloud, union, pose in zip(out, memories, T_base_ee, strict=True):
             # R^T (x - p) for rows x: [x 1] times R above -p^T R.
