@@ -60,7 +60,7 @@ def test_impossible_calibrations_are_refused(options):
 
 
 def test_clouds_and_carving_see_through_a_calibrated_camera():
-    """A wall at 0.5 m seen off-centre; points before it go, those beside the picture stay."""
+    """A wall at 0.5 m seen off-centre; points before it go, and one stands for them; those beside it stay."""
     camera = CameraIntrinsics(40, 30, fx=50.0, fy=40.0, cx=12.0, cy=20.0)
     depth = torch.full((2, 30, 40), 0.5)
     mask = torch.zeros(2, 30, 40, dtype=torch.bool)
@@ -74,7 +74,8 @@ def test_clouds_and_carving_see_through_a_calibrated_camera():
     assert seen["num_points"].flatten().tolist() == [4, 0]
     assert torch.allclose(seen["points"][0, 0], torch.tensor([(5 - 12) / 50, (10 - 20) / 40, 1.0]) * 0.3)
     joined = AggregatePoints(1.0, carve=0.01, intrinsics=camera)(seen.clone())
-    assert joined["num_points"].flatten().tolist() == [4, 0]
+    assert joined["num_points"].flatten().tolist() == [4, 1]
+    assert torch.allclose(joined["points"][1, 0], seen["points"][0, :4].mean(dim=0))
     off = CameraIntrinsics(40, 30, fx=50.0, cx=-0.4, cy=-0.4)  # they would lie left of the picture
     kept = AggregatePoints(1.0, carve=0.01, intrinsics=off)(seen.clone())
     assert kept["num_points"].flatten().tolist() == [4, 4]
