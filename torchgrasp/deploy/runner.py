@@ -152,10 +152,10 @@ class _AggregatePoints:
             through = self._find_seen_through(seen["depth"], seen["T_base_camera"], self._carve)
             self._points = self._points[~through]
         self._add_view(seen["points"], pose, rng)
-        unseen = self._carve is not None and self._place is not None and self._seen_at < self._views
-        if unseen and (self._has_gone or not len(self._points)):
+        place, gone = self._place, self._has_gone or not len(self._points)
+        if self._carve is not None and place is not None and gone and self._seen_at < self._views:
             self._pace = _SLOWING * self._pace
-            self._place = self._points = (self._place + self._pace).astype(np.float32)
+            self._place = self._points = (place + self._pace).astype(np.float32)
             self._has_gone = True
         inverse = np.concatenate((pose[:3, :3], -pose[:3, 3:].T @ pose[:3, :3]))
         seen["points"] = self._points @ inverse

@@ -35,7 +35,7 @@ class _Track:
     """Where the target is, (1, 3) in the base frame: the mean of what is seen of it, then a guess."""
 
     def __init__(self) -> None:
-        self.place: np.ndarray | None = None
+        self._place: np.ndarray | None = None
         self._pace = np.zeros((1, 3), dtype=np.float32)
         self._shifts: list[np.ndarray] = []
         self._seen_at = -1
@@ -43,20 +43,23 @@ class _Track:
     def see(self, points: np.ndarray, view: int) -> None:
         """Take it to be where the (n, 3) points of this view are."""
         place = points.mean(axis=0, keepdims=True)
-        followed = self.place is not None and self._seen_at == view - 1
-        self._shifts = [*self._shifts, place - self.place][-_SHIFTS:] if followed else []
-        self.place, self._seen_at = place, view
+        if self._place is None or self._seen_at != view - 1:
+            self._shifts = []
+        else:
+            self._shifts = [*self._shifts, place - self._place][-_SHIFTS:]
+        self._place, self._seen_at = place, view
         self._pace = max(self._shifts, key=np.linalg.norm, default=np.zeros_like(place))
 
-    def is_seen(self, view: int) -> bool:
-        """Whether this view shows it."""
-        return self._seen_at == view
+    def go_on(self, view: int) -> np.ndarray | None:
+        """Take it to go on as it went when it was seen, ever more slowly; None where this view shows it.
 
-    def go_on(self) -> None:
-        """Take it to go on as it went when it was seen, ever more slowly."""
-        if self.place is not None:
-            self._pace = _SLOWING * self._pace
-            self.place = self.place + self._pace
+        None as well where no view has shown it yet.
+        """
+        if self._place is None or self._seen_at == view:
+            return None
+        self._pace = _SLOWING * self._pace
+        self._place = self._place + self._pace
+        return self._place
 
 
 class _Union:
@@ -100,11 +103,11 @@ class _Union:
 
     def stand_in(self) -> None:
         """Have where the target may be stand for it, if no point of it is left and this view shows none."""
-        known = self._track.place is not None and not self._track.is_seen(self.views)
-        if known and (self.size == 0 or self._has_gone):
-            self._track.go_on()
-            self.size, self._has_gone = 0, True
-            self.append(self._track.place)
+        if self.size == 0 or self._has_gone:
+            place = self._track.go_on(self.views)
+            if place is not None:
+                self.size, self._has_gone = 0, True
+                self.append(place)
 
 
 class AggregatePoints(HistoryTransform[_Union]):
