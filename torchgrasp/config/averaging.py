@@ -57,10 +57,10 @@ def check_averaged(
             )
         one, another = (_describe_acting(each, mirrored) for each in (first, other))
         if names := [name for name in one if one[name] != another[name]]:
-            remedies = [_REMEDIES.get(name) for name in names]
+            remedies = [_REMEDIES[name] for name in names] if _REMEDIES.keys() >= set(names) else []
             raise ConfigError(
                 f"{other.path} acts otherwise than {first.path}, by its {', '.join(names)}: average policies "
-                f"that act alike{''.join(filter(None, remedies)) if all(remedies) else ''}."
+                f"that act alike{''.join(remedies)}."
             )
     if uncorrected:
         if not any(has_residual(policy.config) for policy in policies):
