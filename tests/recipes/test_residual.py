@@ -131,6 +131,7 @@ def test_fine_tuning_corrects_what_it_begins_with(
         (["pretrain.critic=true"], "pretrain.critic=true with model.residual"),
         (["model.actor.goal_input=true"], "model.actor.goal_input=true with model.residual"),
         (["model.critic.goal_input=true"], "model.critic.goal_input=true with model.residual"),
+        (["loss.bc_weight=0.5"], "loss.bc_weight=0.5 with model.residual"),
         (["replay.keep_features=null"], "replay.keep_features=None with model.residual"),
         (["model.critic.norm=bogus"], "norm='bogus' is unknown"),
         (["model.residual.last_steps=9"], "model.residual.last_steps=9"),

@@ -42,6 +42,7 @@ _EXTRAS = (
     "lerobot",
     "viz",
     "wandb",
+    "mlflow",
     "sweeps",
     "ray",
 )
