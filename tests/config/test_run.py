@@ -2,6 +2,7 @@
 
 import csv
 import json
+from contextlib import ExitStack
 
 import pytest
 import torch
@@ -24,17 +25,20 @@ def begin(composed, demonstrations):
     def start(*overrides: str, resume=None) -> Run:
         cfg = composed("experiment=smoke", f"demonstrations.path={demonstrations}", *overrides)
         if resume is not None:
-            cfg = OmegaConf.merge(OmegaConf.load(resume / ".config_unresolved.yaml"), {"resume": str(resume)})
+            stored = OmegaConf.load(resume / ".config_unresolved.yaml")
+            cfg = OmegaConf.merge(stored, OmegaConf.from_dotlist([*overrides]), {"resume": str(resume)})
         seed_everything(cfg.seed)
         learner = make_imitation_learner(cfg) if cfg.recipe == "bc" else make_actor_critic(cfg)
         run = Run(cfg, learner).__enter__()
-        begun.append(run)
-        run.begin(gather_sources(cfg, run.pool, run.folder))
+        with ExitStack() as opened:  # closed where it cannot begin
+            opened.push(run)
+            run.begin(gather_sources(cfg, run.pool, run.folder))
+            begun.append(opened.pop_all())
         return run
 
     yield start
-    for run in begun:
-        run.__exit__(None, None, None)
+    for opened in begun:
+        opened.close()
 
 
 def read_metrics(run):
@@ -163,6 +167,55 @@ def test_episodes_of_actors_come_in_turn_and_are_counted(begin):
         assert len(episodes) == 2 and set(acted) == {("first", "second")[iteration % 2]}
     assert 48 <= run.env_steps < 48 + 12 and 0.0 <= run.success_rate <= 1.0
     assert [int(row["env_steps"]) for row in read_metrics(run)][-1] == run.env_steps
+
+
+def test_a_resumed_run_goes_on_with_what_was_given_beside_resume(begin):
+    """Without its being given once more, and only where the checkpoint was taken up."""
+    run = begin("offline.updates=4", "online.updates=2", "pretrain.steps=0")
+    learn(run, stop_in=0)
+    run.checkpoint()
+    run.__exit__(None, None, None)
+    with pytest.raises(CheckpointError, match="another configuration"):
+        begin("model.encoder.width=0.5", resume=run.folder)
+    again = begin("offline.updates=8", resume=run.folder)
+    again.__exit__(None, None, None)
+    for file in ("config.yaml", ".config_unresolved.yaml"):
+        stored = OmegaConf.load(run.folder / file)
+        assert (stored.offline.updates, stored.model.encoder.width, stored.resume) == (8, 0.25, None)
+    last = begin(resume=run.folder)
+    learn(last)
+    assert last.gradient_steps == 8
+
+
+def test_a_resumed_run_with_longer_rounds_has_no_episode_twice(begin):
+    class Still(torch.nn.Module):
+        def forward(self, td):
+            return td.set("action", torch.zeros(*td.shape, 6))
+
+    run = begin("total_env_steps=96", "pretrain.steps=0")
+    run.act(Still())
+    numbers = []
+    for iteration in run.iterations("episodes"):
+        numbers += [episode.number for episode in run.episodes()]
+        if iteration == 1:
+            break
+    run.checkpoint()
+    run.__exit__(None, None, None)
+    again = begin("collector.episodes=6", resume=run.folder)
+    again.act(Still())
+    for _ in again.iterations("episodes"):
+        numbers += [episode.number for episode in again.episodes()]
+    assert sorted(set(numbers)) == [*range(1_000_000, again.next_episode)]
+
+
+def test_what_was_measured_on_other_scenes_is_left_out(begin, capsys):
+    run = begin("pretrain.steps=0", "evaluation.episodes=2")
+    run.measure_once("policy before")
+    run.__exit__(None, None, None)
+    assert set(run.find_comparable()["policy before"]) >= {"outcomes", "success_rate"}
+    again = begin("evaluation.episodes=3", resume=run.folder)
+    assert again.find_comparable() == {}
+    assert "policy before was measured on other scenes" in capsys.readouterr().out
 
 
 def test_metrics_alone_are_logged_by_default(begin):

@@ -25,13 +25,13 @@ def conclude(run: Run, *, phase: str) -> dict:
     cfg, learner = run.cfg, run.learner
     failed, predicted = FailurePictures(), GraspPictures()
     tables = {"policy": run.evaluate(learner.policy, "policy", watch=[failed.add])}
-    tables |= run.results
+    earlier = run.find_comparable()
+    tables |= earlier
     for name in cfg.evaluation.baselines:
         tables[name] = run.evaluate(make_policy(cfg, name), name)
     run.log.log(run.gradient_steps + 1, {"test/success_rate": tables["policy"]["success_rate"]})
     scenes = describe_scenes(cfg)
-    earlier = [each for each in run.results.values() if "outcomes" in each]  # not of versions before 0.2
-    gains = {f"added by {phase}": find_gain(tables["policy"], before) for before in earlier}
+    gains = {f"added by {phase}": find_gain(tables["policy"], before) for before in earlier.values()}
     summary = {**tables["policy"], "scenes": scenes, "comparison": tables, "gains": gains}
     summary |= run.describe()
     pictures = {"Failed episodes": failed.pictures}

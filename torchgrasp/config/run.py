@@ -15,7 +15,7 @@ from torchgrasp.config.grasp_prediction import PREDICTED_FROM
 from torchgrasp.config.main_phase import count_rounds, describe_idle_workers
 from torchgrasp.config.overrides import plain
 from torchgrasp.config.parts import build
-from torchgrasp.config.run_files import open_run_dir
+from torchgrasp.config.run_files import keep_configuration, open_run_dir
 from torchgrasp.config.run_state import LearnerT, RunState
 from torchgrasp.data.demonstration_sources import DemonstrationSource
 from torchgrasp.data.folder_lock import own_folder
@@ -29,9 +29,8 @@ from torchgrasp.runs.loggers import make_logger
 from torchgrasp.training import ImitationLearner, cosine_schedule, step_schedule
 from torchgrasp.training.cores import updates_on_cores
 
-# Online episodes are numbered from here on: none repeats a demonstration.
-_FIRST_EPISODE = 1_000_000
 _LOGGED_EVERY = 50  # updates of imitation
+_SCENES = "evaluated_on"
 
 
 class Run(RunState[LearnerT]):
@@ -118,6 +117,8 @@ class Run(RunState[LearnerT]):
             self._take_up(load_checkpoint(self.folder / "checkpoint", like=self._state()))
         else:
             self.experience.load_demonstrations()
+        if self.cfg.resume is not None:  # not before it is known to fit the checkpoint
+            keep_configuration(self.cfg, self.folder)
         step = self.gradient_steps + 1 if resumed else None
         logger = make_logger(run_dir=self.folder, resume_step=step, **plain(self.cfg.logger))
         self.log = MetricsLogger(self.folder, resume_step=step, logger=logger)
@@ -173,11 +174,12 @@ class Run(RunState[LearnerT]):
         if self.progress < 1.0 and (note := describe_idle_workers(self.cfg)) is not None:
             print(note)
         length, self._worked = count_rounds(self.cfg), self.pool.work_seconds
+        first, turn = self.next_episode, self.iteration + self._had_episodes
         self._rounds = collect_rounds(
             self.pool,
             "train",
-            lambda number: copy_for_rollouts(actors[(number - _FIRST_EPISODE) // length % len(actors)]),
-            first=_FIRST_EPISODE + (self.iteration + self._had_episodes) * length,
+            lambda number: copy_for_rollouts(actors[(turn + (number - first) // length) % len(actors)]),
+            first=first,
             length=length,
             overlap=self.cfg.collector.overlap,
         )
@@ -212,6 +214,7 @@ class Run(RunState[LearnerT]):
             num_steps = sum(len(episode.steps) for episode in episodes)
             self.noise.step(num_steps)
         self.env_steps += num_steps
+        self.next_episode += count_rounds(self.cfg)
         self.stopwatch.count("rollouts", num_steps, of="env_steps")
         return episodes
 
@@ -230,8 +233,28 @@ class Run(RunState[LearnerT]):
     def measure_once(self, name: str) -> None:
         """Success of the policy as it is now, kept for the end under `name`; a resumed run has it already."""
         if name not in self.results:
-            self.results[name] = self.evaluate(self.learner.policy, name.removeprefix("policy "))
+            table = self.evaluate(self.learner.policy, name.removeprefix("policy "))
+            self.results[name] = {**table, _SCENES: self._describe_scenes()}
             self.checkpoint()
+
+    def find_comparable(self) -> dict[str, dict]:
+        """What was measured before, by name; left out, and named, is what was measured on other scenes.
+
+        A run may be resumed with another evaluation.
+        """
+        scenes, tables = self._describe_scenes(), {}
+        for name, table in self.results.items():
+            if table.get(_SCENES) == scenes:
+                tables[name] = {key: value for key, value in table.items() if key != _SCENES}
+            else:
+                print(f"{name} was measured on other scenes than this evaluation's: it is left out.")
+        return tables
+
+    def _describe_scenes(self) -> dict[str, Any]:
+        """The options that choose the scenes of the evaluation, as plain values."""
+        of_scenes = ("episodes", "num_objects", "split", "num_envs", "seed", "target_motion")
+        evaluation = plain(self.cfg.evaluation)
+        return {**{name: evaluation[name] for name in of_scenes}, "objects": plain(self.cfg.objects)}
 
     def evaluate(self, policy: Callable, description: str, **options: Any) -> dict:
         """Success of a policy on the evaluation's scenes; see `evaluate_policy`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -16,7 +16,7 @@ from torchgrasp.config.schema import Resumption
 from torchgrasp.config.sweeps import note_run
 from torchgrasp.config.training_checks import check_training
 from torchgrasp.config.value_checks import check_section
-from torchgrasp.data.files import read_sealed_text, seal_text
+from torchgrasp.data.files import read_sealed_text, seal_text, write_text_atomically
 from torchgrasp.documents import parse_yaml
 from torchgrasp.errors import CheckpointError, ConfigError
 from torchgrasp.runs import make_run_dir
@@ -48,12 +48,25 @@ def open_run_dir(cfg: DictConfig, recipe: str) -> Path:
     if cfg.get("resume") is not None:
         note_run(Path(cfg.resume))
         return Path(cfg.resume)
+    run_dir = make_run_dir(recipe, root=str(cfg.output_dir), files=_files(cfg))
+    note_run(run_dir)
+    return run_dir
+
+
+def keep_configuration(cfg: DictConfig, folder: Path) -> None:
+    """Have the directory of a run that was resumed tell what was given beside `resume`, too."""
+    begun = cfg.copy()
+    begun.resume = None
+    for name, text in _files(cast(DictConfig, begun)).items():
+        write_text_atomically(folder / name, text)
+
+
+def _files(cfg: DictConfig) -> dict[str, str]:
+    """The texts of a directory that tell its configuration, by name."""
     files = {"config.yaml": OmegaConf.to_yaml(cfg, resolve=True)}
     if "resume" in cfg:
         files[_UNRESOLVED] = seal_text(OmegaConf.to_yaml(cfg))
-    run_dir = make_run_dir(recipe, root=str(cfg.output_dir), files=files)
-    note_run(run_dir)
-    return run_dir
+    return files
 
 
 def _read(file: Path, option: str, recipe: str, trust: Iterable[str]) -> DictConfig:

@@ -24,9 +24,11 @@ from torchgrasp.runs.checkpoint import load_entry
 from torchgrasp.training import ImitationLearner
 
 _RECENT_EPISODES = 200
+# The run's own episodes are numbered from here on: none repeats a demonstration.
+_FIRST_EPISODE = 1_000_000
 _COUNTERS = (
     *("pretrain_steps", "gradient_steps", "env_steps", "iteration"),
-    *("env_steps_before", "updates_in_iteration"),
+    *("env_steps_before", "updates_in_iteration", "next_episode"),
 )
 
 LearnerT = TypeVar("LearnerT", bound=ImitationLearner)
@@ -52,6 +54,7 @@ class RunState(Generic[LearnerT]):
         iteration: number of the iteration of the main phase.
         env_steps_before: of the steps those before this iteration.
         updates_in_iteration: batches learned from in this iteration.
+        next_episode: number of the first episode of the next round.
     """
 
     folder: Path
@@ -71,6 +74,7 @@ class RunState(Generic[LearnerT]):
         self.results: dict[str, dict] = {}
         self.pretrain_steps = self.gradient_steps = self.env_steps = self.iteration = 0
         self.env_steps_before = self.updates_in_iteration = 0
+        self.next_episode = _FIRST_EPISODE
         self._had_episodes = False  # in this iteration, before the run was resumed
         self._recent: deque[bool] = deque(maxlen=_RECENT_EPISODES)
         self._started, self._earlier_seconds = time.monotonic(), 0.0
