@@ -24,8 +24,8 @@ def drawn():
 
 
 @functools.cache
-def agent():
-    return GraspAgent(policy(), intrinsics=CAMERA.intrinsics, T_ee_camera=CAMERA.T_ee_camera)
+def agent(period=0.15):
+    return GraspAgent(policy(), intrinsics=CAMERA.intrinsics, T_ee_camera=CAMERA.T_ee_camera, period=period)
 
 
 def rehearse(**options):
@@ -43,11 +43,11 @@ def connected(limits=None, **options):
         yield rehearsal, arm
 
 
-def make_loop(rehearsal, arm, *, camera=None, limits=None, **options):
+def make_loop(rehearsal, arm, *, camera=None, limits=None, period=0.15, **options):
     camera = camera or RehearsalCamera(rehearsal, CAMERA)
     # Generous, because tests share a machine: each provokes what it is about.
     options = {"watchdog": 1.0, "max_age": 1.0, "clock": rehearsal.clock} | options
-    return ClosedLoop(arm, agent(), camera, limits=limits, **options)
+    return ClosedLoop(arm, agent(period), camera, limits=limits, **options)
 
 
 def wait_for(condition, seconds=30.0):

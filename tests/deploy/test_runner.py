@@ -11,7 +11,9 @@ import pytest
 
 from tests.deploy.recordings import WIDE, policy, record
 from torchgrasp.deploy.policy_files import export_policy
-from torchgrasp.deploy.runner import GraspPolicy, PolicyError, _smallest_around
+from torchgrasp.deploy.runner import Camera, GraspPolicy, PolicyError, _choose_thin, _smallest_around
+from torchgrasp.deploy.sight import choose_thin
+from torchgrasp.intrinsics import CameraIntrinsics
 from torchgrasp.sim import RaycastCamera
 from torchgrasp.sim.kinematics import READY_POSTURE, forward_kinematics
 
@@ -28,6 +30,15 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def recording():
     return record(episodes=4, motion="mixed")
+
+
+@pytest.mark.parametrize("training", [{"fx": 100.0}, {"fx": 100.0, "fy": 50.0}])
+@pytest.mark.parametrize("camera", [{"fx": 90.0}, {"fx": 400.0, "fy": 320.0}, {"fx": 610.0}])
+def test_pictures_are_thinned_as_the_agent_does(training, camera):
+    size = {"width": 640, "height": 480}
+    ours = _choose_thin(Camera(**size, **camera), Camera(**size, **training))
+    theirs = choose_thin(*(CameraIntrinsics(**size, **each) for each in (camera, training)))
+    assert ours == theirs
 
 
 def check(runner, recording):

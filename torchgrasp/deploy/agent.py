@@ -54,7 +54,7 @@ class GraspAgent:
             simulation. A real sensor has holes.
         thin: every so many rows and columns of a picture are used; None for pixels twice as fine as those of
             training.
-        period: seconds of a control period, for `GraspCommand.age`.
+        period: seconds of a control period, which a `ClosedLoop` keeps; that of training is 0.15.
         trust: see `torchgrasp.load_policy`.
         device: of the network.
 

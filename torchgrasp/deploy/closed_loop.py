@@ -27,7 +27,7 @@ class GraspOutcome:
     Attributes:
         held: whether something is between the fingers after the lift, told from their distance.
         width: metres between the fingers then; NaN where the arm did not come so far.
-        steps: commands that were followed.
+        steps: control periods in which the agent was asked.
         cause: why the arm was stopped, in a word as in `StopError`; None where it was not.
         reason: the same in a sentence.
         caught: whether something was between the fingers once they had closed, before the lift. What was
@@ -62,7 +62,6 @@ class ClosedLoop:
         agent: GraspAgent of one arm, with the camera's intrinsics and pose.
         camera: a `DepthCamera`.
         limits: of the arm; those that the arm itself was given, if None.
-        period: seconds of a control period; that of training is 0.15.
         watchdog: seconds that a command may be late.
         max_age: seconds that a picture may be old.
         patience: pictures in a row that the agent cannot use.
@@ -80,7 +79,6 @@ class ClosedLoop:
         camera: DepthCamera,
         *,
         limits: ArmLimits | None = None,
-        period: float = 0.15,
         watchdog: float = 0.1,
         max_age: float = 0.2,
         patience: int = 7,
@@ -90,7 +88,7 @@ class ClosedLoop:
         clock: Callable[[], float] = time.monotonic,
         tell: Callable[[int, GraspCommand], object] | None = None,
     ) -> None:
-        for name, value in (("period", period), ("watchdog", watchdog), ("max_age", max_age)):
+        for name, value in (("watchdog", watchdog), ("max_age", max_age)):
             check_range(name, value, 0.0, 60.0, open_low=True)
         check_range("force", force, 0.0, 140.0, open_low=True)  # a Franka hand's most
         check_range("lift_height", lift_height, 0.0, 1.0)
@@ -99,7 +97,8 @@ class ClosedLoop:
         self.arm, self.agent, self.camera = arm, agent, camera
         self.limits = _choose_limits(arm, limits)
         _check_agent(agent, self.limits)
-        self._period, self._watchdog, self._max_age, self._patience = period, watchdog, max_age, patience
+        self._period = agent.period
+        self._watchdog, self._max_age, self._patience = watchdog, max_age, patience
         self._force, self._lift_height, self._min_width = force, lift_height, min_width
         self._clock, self._tell = clock, tell
         self._steps, self._caught = 0, False

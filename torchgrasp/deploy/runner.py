@@ -324,7 +324,7 @@ class GraspPolicy:
             raise
         except (TypeError, ValueError) as error:
             raise PolicyError(f"camera={camera}: give width, height and fx ({error}).") from error
-        finest = max(1, int(min(self.camera.focal) / (2 * self.settings["camera"]["fx"])))
+        finest = _choose_thin(self.camera, Camera(**self.settings["camera"]))
         self._thin = finest if thin is None else thin
         if int(self._thin) != self._thin or not 1 <= self._thin <= min(self.camera.width, self.camera.height):
             raise PolicyError(f"thin={thin} is out of range: give a whole number from 1 on.")
@@ -487,6 +487,11 @@ class GraspPolicy:
         )
         hand[2, 3] += max(0.0, self.settings["table_guard"] - (hand[2, 3] + lowest - self._table_height))
         return hand
+
+
+def _choose_thin(camera: Camera, training: Camera) -> int:
+    """Every so many rows and columns are kept, of pixels at least twice as fine as those of training."""
+    return max(1, int(min(camera.focal) / (2 * min(training.focal))))
 
 
 def _smallest_around(picture: np.ndarray) -> np.ndarray:
