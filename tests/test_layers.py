@@ -34,6 +34,7 @@ GROUND = (
     "names",
     "interruption",
     "processes",
+    "versions",
 )
 # Folder -> the folders that it may import, besides the ground and itself.
 ALLOWED = {
@@ -54,7 +55,7 @@ ALLOWED["evaluation"] = {"objects", "sim", "envs", "planning", "modules", "objec
 ALLOWED["evaluation"] |= {"rollouts", "runs"}
 ALLOWED["report"] = ALLOWED["evaluation"] | {"evaluation"}
 ALLOWED["config"] = set(ALLOWED)
-ALLOWED["deploy"] = {"config", "objects", "sim", "transforms"}
+ALLOWED["deploy"] = {"config", "data", "objects", "sim", "transforms"}
 ALLOWED["commands"] = set(ALLOWED)
 ALLOWED["__main__"] = {"commands", "config"}
 # What is imported for annotations alone may be more: who runs episodes hands them to a learner.

@@ -159,7 +159,7 @@ def test_what_is_asked_for_wrongly_is_told(tmp_path):
     with pytest.raises(ConfigError, match=r"does not end with \.pt2"):
         export_policy(policy(), format="torch_export", output=tmp_path / "policy.onnx")
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="cannot be made"):
+    with pytest.raises(StorageError, match="cannot be written"):
         export_policy(policy(), output=tmp_path / "file" / "policy.onnx")
     (tmp_path / "policy.onnx").mkdir()
     with pytest.raises(StorageError, match=r"policy\.onnx cannot be written"):

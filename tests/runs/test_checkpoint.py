@@ -20,7 +20,7 @@ from tests.hostile_values import check_each, check_texts
 from torchgrasp.data import CompactTransitions, MixtureReplayBuffer, MixtureSampler
 from torchgrasp.data.files import describe_file
 from torchgrasp.errors import CheckpointError
-from torchgrasp.runs.checkpoint import has_checkpoint, load_checkpoint, save_checkpoint
+from torchgrasp.runs.checkpoint import checkpoint_exists, load_checkpoint, save_checkpoint
 from torchgrasp.runs.seeding import get_rng_state, seed_everything, set_rng_state
 
 
@@ -251,7 +251,7 @@ def test_the_old_checkpoint_is_found_wherever_the_kill_falls(tmp_path, killed_at
     (tmp_path / ".checkpoint.new" / "step.json").write_text("2")
     if killed_at == "between the renames":
         path.rename(tmp_path / ".checkpoint.old")
-    assert has_checkpoint(path)
+    assert checkpoint_exists(tmp_path)
     assert load_checkpoint(path) == {"step": 1}
     save_checkpoint(path, {"step": 3})
     assert load_checkpoint(path) == {"step": 3}

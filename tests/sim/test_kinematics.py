@@ -25,7 +25,7 @@ def turned(pose: np.ndarray, *, move=(0.0, 0.0, 0.0), yaw: float = 0.0) -> np.nd
 def test_hand_and_tool_centre_point_of_the_ready_posture():
     T_base_ee = kin.forward_kinematics(kin.READY_POSTURE[None])[0]
     assert T_base_ee[:3, 3] == pytest.approx([0.615013, 0, 0.273182], abs=1e-5)
-    tip = T_base_ee @ [0, 0, kin.TCP_OFFSET, 1]
+    tip = T_base_ee @ [0, 0, 0.1034, 1]
     assert tip[:3] == pytest.approx([0.615013, 0, 0.169782], abs=1e-5)
     # Quaternion wxyz (0, 1, 0, 0): half a turn about x.
     assert T_base_ee[:3, :3] == pytest.approx(np.diag([1.0, -1.0, -1.0]), abs=1e-5)

@@ -12,7 +12,7 @@ import platform
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any
 
@@ -30,22 +30,7 @@ _IMPORTED = (
     "manifold3d",
     "hydra",
 )
-_EXTRAS = (
-    "ycb",
-    "random-urdfs",
-    "acronym",
-    "gym",
-    "mujoco",
-    "export",
-    "franka",
-    "minari",
-    "lerobot",
-    "viz",
-    "wandb",
-    "mlflow",
-    "sweeps",
-    "ray",
-)
+_NOT_FOR_USERS = ("dev", "docs")  # extras that work on torchgrasp itself
 
 
 @dataclass(frozen=True)
@@ -118,13 +103,13 @@ def check_versions() -> list[Check]:
 
 def check_extras() -> list[Check]:
     """Each extra of torchgrasp, and the command that installs it."""
-    groups: dict[str, list[Check]] = {}
     try:
-        wanted = _requirements()
+        wanted, extras = _requirements(), metadata("torchgrasp").get_all("Provides-Extra") or ()
     except PackageNotFoundError:
         return []  # check_versions has said that torchgrasp is not installed
+    groups: dict[str, list[Check]] = {}
     for each in wanted:
-        for extra in _EXTRAS:
+        for extra in sorted({*extras} - {*_NOT_FOR_USERS}):
             if not each.extras and not _applies(each) and _applies(each, extra):
                 groups.setdefault(extra, []).append(_check_package(each))
     return [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,7 +10,6 @@ import torch
 from pydantic import Field, model_validator
 from tensordict import TensorDictBase
 
-import torchgrasp
 from torchgrasp import keys
 from torchgrasp.data.compact import CompactTransitions
 from torchgrasp.data.demonstration_card import (
@@ -37,6 +35,7 @@ from torchgrasp.data.mapped_rows import check_columns, map_rows
 from torchgrasp.data.sampler import STUB
 from torchgrasp.documents import Amount, Count, Document, InnerPath, Name, Whole, check_document, reading
 from torchgrasp.errors import CheckpointError, ConfigError, DamageError, printable
+from torchgrasp.versions import versions
 
 _SHARD, _ROWS = "shard.json", "rows"
 
@@ -151,7 +150,7 @@ def append_rows(
             "sums": sums,
             "wall_seconds": round(wall_seconds, 3),
             "files": {name: describe_file(file) for name, file in files.items()},
-            "versions": _versions(),
+            "versions": versions(),
         }
         whole = check_document(shard, Shard, path / shard_name(index), "give other objects, seeds or times")
         (folder / _SHARD).write_text(seal_json(whole.model_dump()))
@@ -260,8 +259,3 @@ def _tells_of(shard: Shard, rows: TensorDictBase) -> bool:
     counts = {name: getattr(shard.sums, name) for name in COUNTS}
     told = [record.success for record in shard.episodes]
     return success[lasts].flatten().tolist() == told and counts == _count_rows(rows)
-
-
-def _versions() -> dict[str, str]:
-    others = {name: version(name) for name in ("torch", "torchrl", "tensordict", "sapien", "numpy")}
-    return {"torchgrasp": torchgrasp.__version__, **others}

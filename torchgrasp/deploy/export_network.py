@@ -5,10 +5,9 @@ from __future__ import annotations
 import importlib
 import io
 import logging
-import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,8 @@ from torch import Tensor, nn
 from torchgrasp import keys
 from torchgrasp.config.trained_policy import TrainedPolicy
 from torchgrasp.config.trained_view import make_view, training_lens
-from torchgrasp.errors import ConfigError, MissingPackageError, StorageError
+from torchgrasp.data.files import write_bytes_atomically
+from torchgrasp.errors import ConfigError, MissingPackageError
 
 # What the file's network may differ by from the policy's own on a state, in the units of actions and goals.
 _AGREES = 1e-4
@@ -98,8 +98,7 @@ def write_torch(policy: TrainedPolicy, file: Path) -> None:
     buffer = io.BytesIO()  # a file's name would stand in the archive
     with _quiet():
         torch.export.save(program, buffer)
-    with written_whole(file) as part:
-        part.write_bytes(buffer.getvalue())
+    write_bytes_atomically(file, buffer.getvalue())
 
 
 def write_onnx(policy: TrainedPolicy, file: Path) -> None:
@@ -123,8 +122,7 @@ def write_onnx(policy: TrainedPolicy, file: Path) -> None:
     _forget_origins(model.graph)
     onnx.checker.check_model(model)
     _compare(policy, runtime.InferenceSession(model.SerializeToString()))
-    with written_whole(file) as part:
-        part.write_bytes(model.SerializeToString())
+    write_bytes_atomically(file, model.SerializeToString())
 
 
 def import_export(name: str) -> Any:
@@ -197,17 +195,3 @@ def _quiet() -> Iterator[None]:
             yield
     finally:
         logger.setLevel(level)
-
-
-@contextmanager
-def written_whole(file: Path) -> Iterator[Path]:
-    """A file beside `file` that takes its place once it is written."""
-    part = file.with_name(f".{os.getpid()}.{file.name}")
-    try:
-        yield part
-        part.replace(file)
-    except OSError as error:
-        raise StorageError(f"{file} cannot be written ({error.strerror or error}).") from error
-    finally:
-        with suppress(OSError):  # it took its place, or was never made
-            part.unlink()

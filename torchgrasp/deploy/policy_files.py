@@ -9,10 +9,11 @@ from typing import Any
 
 from torchgrasp.config.trained_policy import TrainedPolicy
 from torchgrasp.config.trained_view import check_action_space, choose_transforms, training_lens
+from torchgrasp.data.files import write_text_atomically, writing
 from torchgrasp.deploy import runner
 from torchgrasp.deploy.arguments import HIGHEST, LOWEST
-from torchgrasp.deploy.export_network import list_inputs, list_outputs, write_onnx, write_torch, written_whole
-from torchgrasp.errors import ConfigError, StorageError
+from torchgrasp.deploy.export_network import list_inputs, list_outputs, write_onnx, write_torch
+from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import ACTION_BOUND, gripper_control_points
 from torchgrasp.objects.gripper import hand_boxes
 from torchgrasp.sim.control import TABLE_GUARD
@@ -72,10 +73,8 @@ def export_policy(policy: TrainedPolicy, *, format: str = "onnx", output: str | 
     file = Path(output)
     if file.suffix != _ENDINGS[format]:
         raise ConfigError(f"output={file} does not end with {_ENDINGS[format]}: format={format} writes that.")
-    try:
+    with writing(file.parent):
         file.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"{file.parent} cannot be made ({error.strerror}).") from error
     if format == "torch_export":
         write_torch(policy, file)
         return [file]
@@ -86,8 +85,7 @@ def export_policy(policy: TrainedPolicy, *, format: str = "onnx", output: str | 
         file.with_name("grasp_policy.py"): inspect.getsource(runner),
     }
     for each, text in texts.items():
-        with written_whole(each) as part:
-            part.write_text(text)
+        write_text_atomically(each, text)
     return [file, *texts]
 
 

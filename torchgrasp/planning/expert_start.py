@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
-
 import numpy as np
 import torch
 from tensordict import TensorDictBase
@@ -11,6 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchgrasp import keys
 from torchgrasp.errors import check_range
+from torchgrasp.randomness import MomentGenerators
 
 
 class ExpertStart(TensorDictModuleBase):
@@ -37,20 +36,18 @@ class ExpertStart(TensorDictModuleBase):
         ]
         self.out_keys = [keys.ACTION]
         self.horizon, self.probability, self.max_steps = horizon, probability, max_steps
-        self._key = (seed, zlib.crc32(b"ExpertStart"))
+        self._generators = MomentGenerators(seed, purpose="ExpertStart", per_episode=True)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Put EXPERT_ACTION (*, 6) in the place of ACTION where it is the expert's turn."""
-        n = tensordict.batch_size.numel()
-        world, episode = (tensordict.get(key).reshape(n).tolist() for key in (keys.WORLD, keys.EPISODE))
-        steps = torch.tensor([self._steps(*names) for names in zip(world, episode, strict=True)])
+        steps = torch.tensor([self._draw_steps(generator) for generator in self._generators(tensordict)])
         elapsed = (1.0 - tensordict.get(keys.TIME_LEFT)) * self.horizon
         turn = elapsed.round() < steps.reshape(*tensordict.batch_size, 1).to(elapsed.device)
         turn &= tensordict.get(keys.HAS_EXPERT)
         action = torch.where(turn, tensordict.get(keys.EXPERT_ACTION), tensordict.get(keys.ACTION))
         return tensordict.set(keys.ACTION, action)
 
-    def _steps(self, world: int, episode: int) -> int:
-        """How many steps the expert acts in this episode."""
-        rng = np.random.default_rng((*self._key, world, episode))
-        return int(rng.integers(1, self.max_steps + 1)) if rng.random() < self.probability else 0
+    def _draw_steps(self, generator: np.random.Generator) -> int:
+        """How many steps the expert acts in an episode."""
+        begins = generator.random() < self.probability
+        return int(generator.integers(1, self.max_steps + 1)) if begins else 0

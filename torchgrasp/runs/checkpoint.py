@@ -132,11 +132,6 @@ def _load_folder(folder: Path) -> dict[str, Any]:
     return {name: read_state(folder, name, _REMEDY) for name in manifest.entries}
 
 
-def has_checkpoint(path: str | Path) -> bool:
-    """Whether a complete checkpoint lies at the folder `path`."""
-    return (find_folder(path) / _MANIFEST).is_file()
-
-
 def checkpoint_exists(run_dir: str | Path | None) -> bool:
     """Whether there is a checkpoint in a run directory, whole or damaged: such a run does not begin anew."""
     return run_dir is not None and find_folder(Path(run_dir) / "checkpoint").exists()

@@ -94,7 +94,7 @@ def _find_wandb_id(run_dir: Path) -> str | None:
 
 
 def _make_mlflow(run_dir: Path, resume_step: int | None, options: Mapping[str, Any]) -> Logger:
-    import mlflow  # pyright: ignore[reportMissingImports]  no extra of ours installs it
+    import mlflow
     from torchrl.record.loggers import MLFlowLogger
 
     class _Mlflow(MLFlowLogger):

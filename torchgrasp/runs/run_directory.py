@@ -7,7 +7,6 @@ import platform
 import shutil
 from collections.abc import Mapping
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,12 @@ from uuid import uuid4
 import psutil
 import torch
 
-import torchgrasp
 from torchgrasp.data.files import fsync_tree, write_json_atomically, writing
 from torchgrasp.documents import check_document
 from torchgrasp.errors import ConfigError
 from torchgrasp.processes import count_cores
 from torchgrasp.runs.summary import Summary
-
-_PACKAGES = ("torch", "torchrl", "tensordict", "sapien", "numpy", "embreex")
+from torchgrasp.versions import versions
 
 
 def make_run_dir(
@@ -60,18 +57,6 @@ def _rename_to_free(folder: Path, name: str) -> Path:
             if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):  # of one that began just now
                 raise
     raise AssertionError("unreachable")
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on; those not installed left out."""
-    # From the package itself: a checkout's metadata may be of an earlier installation.
-    found = {"python": platform.python_version(), "torchgrasp": torchgrasp.__version__}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
 
 
 def hardware() -> dict[str, Any]:

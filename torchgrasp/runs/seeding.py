@@ -18,7 +18,7 @@ def seed_everything(seed: int) -> torch.Generator:
 
 
 def get_rng_state() -> dict[str, Any]:
-    """States of the global generators, in the form that checkpoints take."""
+    """States of the global generators, torch's those of CPU and CUDA, in the form that checkpoints take."""
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),
