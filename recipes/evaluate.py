@@ -24,6 +24,7 @@ from torchgrasp.config import (
     observed_shapes,
     one_line_errors,
     open_run_dir,
+    plain,
     predict_grasps,
     prepare_objects,
     recipe_main,
@@ -37,6 +38,7 @@ from torchgrasp.report.episode_pictures import FailurePictures, GraspPictures
 from torchgrasp.report.film import check_video_tools
 from torchgrasp.report.film_recording import record_films
 from torchgrasp.runs import write_summary
+from torchgrasp.sim.engines import describe_engine
 
 
 def evaluate(cfg: DictConfig) -> dict:
@@ -78,7 +80,7 @@ def evaluate(cfg: DictConfig) -> dict:
         "learner": cfg.learner,
         "protocol": cfg.protocol,
         "scenes": scenes,
-        "engine": cfg.engine._target_,
+        "engine": describe_engine(plain(cfg.get("engine")))["_target_"],
         "wall_seconds": time.monotonic() - started,
         "gradient_steps": 0,
     }

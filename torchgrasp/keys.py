@@ -29,6 +29,7 @@ Leading `*` stands for the batch. Metres, radians, seconds; float32 unless said 
 | PLAN_STATUS | *, 1 int64 | whether there is a plan, or why not: `PlanStatus` by number; -1: no planner |
 | TURN | *, 1 int64 | which policy of a `Relay` acted: 0 the first, 1 the second |
 | PERTURBED | *, 1 bool | a disturbance, not the policy, moved the arm at this step |
+| SOURCE | *, 1 int64 | number of the replay buffer's source that a row belongs to |
 | EPISODE_SUCCESS | *, 1 bool | the episode's final reward, on each of its steps |
 | GOAL_PREDICTION | *, 7 | written by actor or critic |
 | GRASP_PREDICTION | *, 7 | of each network by name, which only watches (`GraspPredictions`) |

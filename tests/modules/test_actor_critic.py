@@ -31,6 +31,13 @@ def test_shapes(shape, encoder):
     assert written["state_action_value"].shape == (*shape, 3)
 
 
+def test_nested_keys_may_be_lists_as_yaml_has_them():
+    actor = GraspActor(SMALL, out_keys=[["agent", "action"], "goal_prediction"])  # pyright: ignore
+    predictor = GoalPredictor(SMALL, goal_key=["agent", "goal"])  # pyright: ignore
+    written = predictor(actor(_batch(3)))
+    assert written["agent", "action"].shape == (3, 6) and written["agent", "goal"].shape == (3, 7)
+
+
 def test_actions_stay_within_their_bounds():
     actor = GraspActor(SMALL)
     for parameter in actor.parameters():

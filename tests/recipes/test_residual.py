@@ -108,6 +108,17 @@ def test_fine_tuning_of_a_weights_file_needs_no_demonstrations(composed, tmp_pat
     assert not (find_run(tmp_path, "hindsight") / "demonstrations").exists()
 
 
+def test_fine_tuning_begins_with_weights_that_tell_no_more_than_they_must(composed, tmp_path, trained):
+    """What load_policy takes: neither storage, demonstrations nor an action space are told."""
+    states, config = load_weights(trained[0] / "weights.safetensors")
+    told = {name: config[name] for name in ("camera", "transforms", "model", "num_points")}
+    file = tmp_path / "bare.safetensors"
+    save_weights(file, states, {**told, "env": {"_target_": "torchgrasp.envs.GraspEnv", "horizon": 8}})
+    given = ["experiment=[smoke,residual]", "objects=procedural", f"init={file}", "total_env_steps=16"]
+    summary = hindsight.train(composed(*given, "collector.tries.num_tries=3", recipe="hindsight"))
+    assert summary["env_steps"] >= 16
+
+
 @pytest.mark.parametrize("begun_with_residual", [False, True])
 def test_fine_tuning_corrects_what_it_begins_with(
     composed, tmp_path, trained, corrected, begun_with_residual

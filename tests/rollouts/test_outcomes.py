@@ -47,6 +47,12 @@ def test_an_arm_that_is_sent_beyond_its_reach_is_told_from_one_that_misses():
     assert run_always(0.0, 0.0, -0.06, 0.0, 0.0, 0.0) == 2 * ["the arm could not follow"]
 
 
+def test_an_arm_that_is_sent_further_than_an_action_may_is_not_stopped():
+    """10 cm to and fro, of which the environment allows 6."""
+    there, back = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0), (-0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert run([there, back] * 10) == 2 * ["the fingers closed on nothing"]
+
+
 def test_a_hand_that_turns_away_has_lost_sight_of_the_object():
     """12 degrees a step for eight steps, then it stands."""
     turn, stand = (0.0, 0.0, 0.0, 0.21, 0.0, 0.0), (0.0,) * 6

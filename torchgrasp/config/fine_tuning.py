@@ -45,10 +45,11 @@ def begun_with(cfg: DictConfig) -> DictConfig:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
     plain: Any = OmegaConf.to_container(cfg)
     plain |= {name: brought[name] for name in _PARTS if name in brought}
-    plain["env"] |= {name: brought["env"][name] for name in _TASK}
-    plain["replay"] |= {name: brought["replay"][name] for name in _STORAGE}
+    for part, names in (("env", _TASK), ("replay", _STORAGE)):
+        told = brought.get(part) or {}
+        plain[part] |= {name: told[name] for name in names if name in told}
     if cfg.demonstrations.path is None and not learns_alone(cfg):
-        plain["demonstrations"] |= _find_demonstrations(path, brought["demonstrations"])
+        plain["demonstrations"] |= _find_demonstrations(path, brought.get("demonstrations") or {})
     begun: Any = OmegaConf.create(plain)
     forget_encoder_files(begun.model)
     for name in own:
@@ -59,11 +60,11 @@ def begun_with(cfg: DictConfig) -> DictConfig:
 
 def _find_demonstrations(init: Path, brought: dict[str, Any]) -> dict[str, Any]:
     """The options of the demonstrations that `init` learned from, with the folder where they lie."""
-    theirs = {name: brought[name] for name in _DEMONSTRATIONS}
+    theirs = {name: brought[name] for name in _DEMONSTRATIONS if name in brought}
     folder = weights_file(init).parent / "demonstrations"
-    if theirs["path"] is None and not count_shards(folder):
+    if theirs.get("path") is None and not count_shards(folder):
         raise ConfigError(
             f"init={init} has no demonstrations beside it, which would be D_expert: give "
             "demonstrations.path=<folder of `torchgrasp collect`>, collected with what init brings along."
         )
-    return {**theirs, "path": theirs["path"] or str(folder)}
+    return {**theirs, "path": theirs.get("path") or str(folder)}

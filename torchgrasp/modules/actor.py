@@ -15,6 +15,7 @@ from torchgrasp.modules.heads import (
     EncoderNetwork,
     GoalHead,
     StateInputs,
+    as_key,
     bound_tensor,
     build_encoder,
     check_inputs,
@@ -96,7 +97,7 @@ class GraspActor(GraspNetwork):
         network.limits = tuple(map(float, action_bound))
         super().__init__(
             network,
-            in_keys=[*read, *[goal_key] * goal_input, *further, *[table_key] * table_input],
+            in_keys=[*read, *[as_key(goal_key)] * goal_input, *further, *[as_key(table_key)] * table_input],
             out_keys=written,
         )
 

@@ -18,6 +18,7 @@ from torchgrasp.modules.heads import (
     EncoderNetwork,
     GoalHead,
     StateInputs,
+    as_key,
     bound_tensor,
     build_encoder,
     check_inputs,
@@ -117,9 +118,10 @@ class GraspCritic(GraspNetwork):
             freeze=freeze_encoder,
             reads_table=table_input,
         )
+        goal, table = [as_key(goal_key)] * goal_input, [as_key(table_key)] * table_input
         super().__init__(
             network,
-            in_keys=[*state, *[goal_key] * goal_input, *further, *[table_key] * table_input, action],
+            in_keys=[*state, *goal, *further, *table, action],
             out_keys=written,
         )
 

@@ -15,6 +15,7 @@ from torchgrasp.modules.heads import (
     EncoderNetwork,
     GoalHead,
     StateInputs,
+    as_key,
     build_encoder,
     check_inputs,
     check_keys,
@@ -66,8 +67,8 @@ class GoalPredictor(GraspNetwork):
         built, size = build_encoder(encoder, in_channels, heights=table_input)
         size += 1 + sum(further.values()) + table_input * PLANE_SIZE
         network = _GoalNetwork(built, size, hidden, reads_table=table_input)
-        read += [*further, *[table_key] * table_input]
-        super().__init__(network, in_keys=read, out_keys=[goal_key])
+        read += [*further, *[as_key(table_key)] * table_input]
+        super().__init__(network, in_keys=read, out_keys=[as_key(goal_key)])
 
 
 class _GoalNetwork(EncoderNetwork):

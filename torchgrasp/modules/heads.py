@@ -140,13 +140,15 @@ def join_heights(cloud: Tensor, plane: Tensor) -> Tensor:
 
 
 def check_keys(name: str, given: Sequence[NestedKey], meaning: Sequence[str]) -> list[NestedKey]:
-    """The keys `given` as a list; ConfigError unless there is one for each of `meaning`.
-
-    A nested key may be any sequence, as YAML has no tuples.
-    """
+    """The keys `given` as a list; ConfigError unless there is one for each of `meaning`."""
     if len(given) != len(meaning):
         raise ConfigError(f"{name}={list(given)} must name {len(meaning)}: {', '.join(meaning)}.")
-    return [key if isinstance(key, str) else tuple(key) for key in given]
+    return [as_key(key) for key in given]
+
+
+def as_key(given: NestedKey) -> NestedKey:
+    """A key as tensordict takes it: a nested one may be any sequence, as YAML has no tuples."""
+    return given if isinstance(given, str) else tuple(given)
 
 
 def check_inputs(state_inputs: StateInputs | None) -> dict[NestedKey, int]:
@@ -167,7 +169,7 @@ def choose_out_keys(given: Sequence[NestedKey], first: str, *, predicts_goal: bo
             f"out_keys={list(given)} must name {first}, then the goal prediction; for {first} alone give "
             "goal_prediction=False."
         )
-    return list(given)[: 1 + predicts_goal]
+    return [as_key(key) for key in given][: 1 + predicts_goal]
 
 
 def bound_tensor(action_bound: Sequence[float]) -> Tensor:

@@ -124,9 +124,8 @@ class ObjectSet(Sequence[GraspObject], ABC):
 
         Args:
             progress: show the bar.
-            workers: processes to build with. More than one needs a script guarded by
-                ``if __name__ == "__main__":``, as always with spawned processes; without it the
-                objects are built in this process, with a warning.
+            workers: processes to build with; None for one a core, as far as they are worth it. A set whose
+                class is of the caller's script is built in this process.
         """
         build = partial(_build_into_cache, self)
         run_each(

@@ -6,7 +6,7 @@ import roma
 from tensordict import TensorDictBase
 
 from torchgrasp import keys
-from torchgrasp.geometry import ACTION_SIZE, action_to_pose
+from torchgrasp.geometry import ACTION_BOUND, ACTION_SIZE, action_to_pose
 from torchgrasp.planning import NO_PLANNER, PlanStatus
 
 _EMPTY = 1e-3  # metres between pads that hold nothing
@@ -50,7 +50,9 @@ def _count_stopped(steps: TensorDictBase) -> int:
     """Steps (T,) that did not end where a relative hand pose sent them; none in other action spaces."""
     if steps[keys.ACTION].shape[-1] != ACTION_SIZE:
         return 0
-    sent = steps[keys.T_BASE_EE] @ action_to_pose(steps[keys.ACTION])
+    bound = steps[keys.ACTION].new_tensor(ACTION_BOUND)
+    allowed = steps[keys.ACTION].clamp(-bound, bound)  # as the environment clips it
+    sent = steps[keys.T_BASE_EE] @ action_to_pose(allowed)
     sent, came = sent[:-1], steps[keys.T_BASE_EE][1:]
     missed = (sent[:, :3, 3] - came[:, :3, 3]).norm(dim=-1)
     unturned = roma.rotmat_geodesic_distance(sent[:, :3, :3], came[:, :3, :3])

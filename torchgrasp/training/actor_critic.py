@@ -112,7 +112,7 @@ class ActorCriticLearner(ImitationLearner):
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Take up what `state_dict` gave; KeyError or RuntimeError where it is of other networks."""
+        """Take up what `state_dict` gave; KeyError, RuntimeError or ValueError where it is of others."""
         self.loss.load_state_dict(state["loss"])
         self.targets.load_state_dict(state["targets"])
         super().load_state_dict(state)

@@ -104,7 +104,7 @@ class ImitationLearner:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Take up what `state_dict` gave; KeyError or RuntimeError where it is of other networks."""
+        """Take up what `state_dict` gave; KeyError, RuntimeError or ValueError where it is of others."""
         self._terms.load_state_dict(state["terms"])
         for name, network in self.networks.items():
             network.load_state_dict(state["networks"][name])
