@@ -7,7 +7,7 @@ import torch
 from torchgrasp.errors import ConfigError
 from torchgrasp.geometry import pose_to_action
 from torchgrasp.objects.build import build_object
-from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS, lowest_point
+from torchgrasp.objects.gripper import MIN_CLEAR_GRASPS, hand_boxes, lowest_point
 from torchgrasp.objects.solids import cylinder
 from torchgrasp.sim import CameraIntrinsics, Engine, Physics, Placement, RaycastCamera, Worlds
 from torchgrasp.sim import kinematics as kin
@@ -15,7 +15,7 @@ from torchgrasp.sim.control import EeDelta
 from torchgrasp.sim.reach import clear_grasps, in_reach
 from torchgrasp.sim.settle import settle
 from torchgrasp.sim.tracking import track_pose
-from torchgrasp.sim.world import LIFTED, World
+from torchgrasp.sim.world import _HAND_CENTRE, _HAND_HALF, LIFTED, World
 
 READY = kin.READY_POSTURE
 
@@ -29,6 +29,13 @@ def pose_at(x: float, y: float, z: float) -> np.ndarray:
 def hand_above(x: float, y: float, z: float) -> np.ndarray:
     """(4, 4) hand that points down with the fingers opening along the base's y."""
     return pose_at(x, y, z) @ np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def test_the_box_of_the_open_hand_holds_all_its_parts():
+    """Within it the physics runs finer."""
+    low, high = _HAND_CENTRE - _HAND_HALF, _HAND_CENTRE + _HAND_HALF
+    for half_x, outer, rear, front in hand_boxes():
+        assert (high[:2] >= (half_x, outer)).all() and low[2] <= rear and front <= high[2]
 
 
 def posture_at(T_base_ee: np.ndarray) -> np.ndarray:
