@@ -61,11 +61,18 @@ def test_the_pretrained_policy_grasps_over_libfranka_s_protocol():
 
 def test_a_dry_run_prints_commands_and_needs_no_robot():
     _, scene = drawn()
-    lines = []
-    arm = DryArm(scene.q, write=lines.append)
+    lines, periods = [], set()
+
+    class Noting(DryArm):
+        def follow(self, T_base_ee, seconds):
+            periods.add(seconds)
+            super().follow(T_base_ee, seconds)
+
+    arm = Noting(scene.q, write=lines.append)
     with rehearse() as rehearsal:
         outcome = make_loop(rehearsal, arm, period=0.01).run()
         assert np.abs(rehearsal.now.joints[:7] - scene.q).max() < 1e-3
+    assert periods == {0.01}  # the agent's
     assert outcome.steps == 30 and not (outcome.caught or outcome.held) and np.isnan(outcome.width)
     assert lines[0] == "open the fingers" and lines[1].startswith("hand to x ")
     assert lines[31] == "close the fingers with 30 N" and lines[32].startswith("slowly to ")

@@ -49,6 +49,11 @@ def test_a_trained_policy_brings_its_parts_along_and_does_what_it_did_at_the_end
     assert "4 scenes of the test split" in capsys.readouterr().out
 
 
+def test_who_names_no_engine_evaluates_in_that_of_configurations_without_one(run_evaluate):
+    summary = run_evaluate("policy=random", "episodes=2", "~engine")
+    assert summary["engine"] == "torchgrasp.sim.SapienEngine"
+
+
 def test_a_critic_says_what_it_thinks_of_the_policy(run_evaluate, untrained, tmp_path, capsys):
     run_evaluate(f"policy={untrained()}", "episodes=4", "value_quality=0.95")
     told = read_summary(tmp_path)["value_quality"]

@@ -109,9 +109,11 @@ def test_fine_tuning_of_a_weights_file_needs_no_demonstrations(composed, tmp_pat
 
 
 def test_fine_tuning_begins_with_weights_that_tell_no_more_than_they_must(composed, tmp_path, trained):
-    """What load_policy takes: neither storage, demonstrations nor an action space are told."""
+    """What load_policy takes: neither storage, demonstrations, action space nor a critic are told."""
     states, config = load_weights(trained[0] / "weights.safetensors")
     told = {name: config[name] for name in ("camera", "transforms", "model", "num_points")}
+    told["model"] = {name: each for name, each in told["model"].items() if name != "critic"}
+    del states["critic"]
     file = tmp_path / "bare.safetensors"
     save_weights(file, states, {**told, "env": {"_target_": "torchgrasp.envs.GraspEnv", "horizon": 8}})
     given = ["experiment=[smoke,residual]", "objects=procedural", f"init={file}", "total_env_steps=16"]
@@ -142,7 +144,7 @@ def test_fine_tuning_corrects_what_it_begins_with(
         (["pretrain.critic=true"], "pretrain.critic=true with model.residual"),
         (["model.actor.goal_input=true"], "model.actor.goal_input=true with model.residual"),
         (["model.critic.goal_input=true"], "model.critic.goal_input=true with model.residual"),
-        (["loss.bc_weight=0.5"], "loss.bc_weight=0.5 with model.residual"),
+        (["loss.bc_weight=0.5"], "loss.bc_weight=0.5, but the policy learns of its own episodes"),
         (["replay.keep_features=null"], "replay.keep_features=None with model.residual"),
         (["model.critic.norm=bogus"], "norm='bogus' is unknown"),
         (["model.residual.last_steps=9"], "model.residual.last_steps=9"),

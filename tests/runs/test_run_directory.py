@@ -13,9 +13,10 @@ import torchgrasp
 from torchgrasp.config.one_line_errors import one_line_errors
 from torchgrasp.errors import ConfigError, StorageError, check_range
 from torchgrasp.evaluation.success import SuccessTable
-from torchgrasp.runs.run_directory import hardware, make_run_dir, versions, write_summary
+from torchgrasp.runs.run_directory import hardware, make_run_dir, write_summary
 from torchgrasp.runs.seeding import seed_everything
 from torchgrasp.training.schedules import cosine_schedule, linear_schedule, step_schedule
+from torchgrasp.versions import versions
 
 
 def test_run_directories_never_coincide(tmp_path):

@@ -104,12 +104,13 @@ def check_versions() -> list[Check]:
 def check_extras() -> list[Check]:
     """Each extra of torchgrasp, and the command that installs it."""
     try:
-        wanted, extras = _requirements(), metadata("torchgrasp").get_all("Provides-Extra") or ()
+        wanted, provided = _requirements(), metadata("torchgrasp").get_all("Provides-Extra") or ()
     except PackageNotFoundError:
         return []  # check_versions has said that torchgrasp is not installed
     groups: dict[str, list[Check]] = {}
+    extras = sorted({*provided} - {*_NOT_FOR_USERS})
     for each in wanted:
-        for extra in sorted({*extras} - {*_NOT_FOR_USERS}):
+        for extra in extras:
             if not each.extras and not _applies(each) and _applies(each, extra):
                 groups.setdefault(extra, []).append(_check_package(each))
     return [

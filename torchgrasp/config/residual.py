@@ -7,7 +7,6 @@ from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 
-from torchgrasp.config.demonstration_sources import draws_own_alone
 from torchgrasp.errors import ConfigError
 
 
@@ -48,12 +47,6 @@ def check_residual(cfg: DictConfig) -> None:
                 f"model.{name}.goal_input=true with model.residual: nobody tells goals while it learns. Give "
                 f"model.{name}.goal_input=false, or model.residual=null."
             )
-    if cfg.recipe == "td3_bc" and cfg.loss.bc_weight and not cfg.online.dagger and draws_own_alone(cfg):
-        raise ConfigError(
-            f"loss.bc_weight={cfg.loss.bc_weight} with model.residual: the correction learns of its own "
-            "episodes, whose actions nobody labels. Give loss.bc_weight=0, or online.dagger=true, or "
-            "model.residual=null, as in experiment=laptop."
-        )
     residual, tries = cfg.model.residual, cfg.collector.get("tries")
     for place, horizon in (("model.residual", residual), ("collector.tries", tries)):
         given = None if horizon is None else horizon.get("horizon")

@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from torchgrasp.config.demonstration_sources import draws_own_alone
-from torchgrasp.config.environments import LEARNED_FROM, make_pool, prepare_objects
+from torchgrasp.config.environments import LEARNED_FROM, make_pool, prepare_objects, scene_options
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
 from torchgrasp.config.main_phase import count_rounds, describe_idle_workers
 from torchgrasp.config.overrides import plain
@@ -117,11 +117,11 @@ class Run(RunState[LearnerT]):
             self._take_up(load_checkpoint(self.folder / "checkpoint", like=self._state()))
         else:
             self.experience.load_demonstrations()
-        if self.cfg.resume is not None:  # not before it is known to fit the checkpoint
-            keep_configuration(self.cfg, self.folder)
         step = self.gradient_steps + 1 if resumed else None
         logger = make_logger(run_dir=self.folder, resume_step=step, **plain(self.cfg.logger))
         self.log = MetricsLogger(self.folder, resume_step=step, logger=logger)
+        if self.cfg.resume is not None:  # not before it is known to work
+            keep_configuration(self.cfg, self.folder)
         self._resources.callback(self.log.close)
         self._resources.enter_context(hold())
         self._begun = True
@@ -234,7 +234,7 @@ class Run(RunState[LearnerT]):
         """Success of the policy as it is now, kept for the end under `name`; a resumed run has it already."""
         if name not in self.results:
             table = self.evaluate(self.learner.policy, name.removeprefix("policy "))
-            self.results[name] = {**table, _SCENES: self._describe_scenes()}
+            self.results[name] = {**table, _SCENES: scene_options(self.cfg)}
             self.checkpoint()
 
     def find_comparable(self) -> dict[str, dict]:
@@ -242,19 +242,13 @@ class Run(RunState[LearnerT]):
 
         A run may be resumed with another evaluation.
         """
-        scenes, tables = self._describe_scenes(), {}
+        scenes, tables = scene_options(self.cfg), {}
         for name, table in self.results.items():
             if table.get(_SCENES) == scenes:
                 tables[name] = {key: value for key, value in table.items() if key != _SCENES}
             else:
                 print(f"{name} was measured on other scenes than this evaluation's: it is left out.")
         return tables
-
-    def _describe_scenes(self) -> dict[str, Any]:
-        """The options that choose the scenes of the evaluation, as plain values."""
-        of_scenes = ("episodes", "num_objects", "split", "num_envs", "seed", "target_motion")
-        evaluation = plain(self.cfg.evaluation)
-        return {**{name: evaluation[name] for name in of_scenes}, "objects": plain(self.cfg.objects)}
 
     def evaluate(self, policy: Callable, description: str, **options: Any) -> dict:
         """Success of a policy on the evaluation's scenes; see `evaluate_policy`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from omegaconf import DictConfig, OmegaConf
 
-from torchgrasp.config.demonstration_sources import list_demonstrations
+from torchgrasp.config.demonstration_sources import draws_own_alone, list_demonstrations
 from torchgrasp.config.exploration import check_demonstrators
 from torchgrasp.config.parts import at_place
 from torchgrasp.config.residual import check_residual
@@ -33,8 +33,27 @@ def check_training(cfg: DictConfig) -> None:
         _check_demonstrations(each.demonstrations, place)
         check_demonstrators(each)
     check_residual(cfg)
+    _check_labels(cfg)
     if cfg.init is not None and not checkpoint_exists(cfg.resume):
         check_weights("init", str(cfg.init))
+
+
+# Of each recipe with a critic: what labels its own episodes, and what to give where that is wanted.
+_LABELS = {
+    "td3_bc": ("dagger", "experiment=laptop"),
+    "hindsight": ("self_imitation", "online.self_imitation=true"),
+}
+
+
+def _check_labels(cfg: DictConfig) -> None:
+    """Refuse imitation where the main phase draws its own episodes alone and nothing labels them."""
+    option, remedy = _LABELS.get(cfg.recipe, ("", ""))
+    if option and cfg.loss.bc_weight and draws_own_alone(cfg) and not cfg.online.get(option):
+        raise ConfigError(
+            f"loss.bc_weight={cfg.loss.bc_weight}, but the policy learns of its own episodes, whose actions "
+            f"nobody labels (replay.online_fraction=1.0, online.{option}=false): give loss.bc_weight=0, or "
+            f"{remedy}."
+        )
 
 
 def _check_demonstrations(demonstrations: DictConfig, place: str) -> None:

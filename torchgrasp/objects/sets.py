@@ -124,8 +124,8 @@ class ObjectSet(Sequence[GraspObject], ABC):
 
         Args:
             progress: show the bar.
-            workers: processes to build with; None for one a core, as far as they are worth it. A set whose
-                class is of the caller's script is built in this process.
+            workers: processes to build with; None for the set's own `workers`. A set whose class is of the
+                caller's script is built in this process.
         """
         build = partial(_build_into_cache, self)
         run_each(

@@ -19,7 +19,7 @@ from torchgrasp.runs.state_likeness import find_unlike
 
 _MANIFEST = "manifest.json"
 # 2: what a learner, its run and its buffer hold stand in entries of their own.
-_FORMAT = 2
+_FORMAT = 3
 _MAX_READS = 20
 _REMEDY = "restore the folder from a copy, or begin another run"
 _NAME = r"^[\w-]{1,200}$"
@@ -28,7 +28,7 @@ _NAME = r"^[\w-]{1,200}$"
 class Manifest(Document):
     """manifest.json: what a checkpoint holds, in files `<entry>.json` and, where there are tensors, more."""
 
-    format: Literal[2]
+    format: Literal[3]
     torchgrasp: Name
     entries: list[Annotated[str, Field(pattern=_NAME)]]
     files: dict[str, FileRecord]
