@@ -101,8 +101,8 @@ def test_a_checkpoint_of_another_version_is_refused_with_two_ways_on(composed):
     save_checkpoint(run_dir / "checkpoint", {"progress": {"iteration": 1}})
     training_config(composed(f"resume={run_dir}"), "td3_bc")
     file = run_dir / "checkpoint" / "manifest.json"
-    assert json.loads(file.read_text())["format"] == 2
+    assert json.loads(file.read_text())["format"] == 3
     file.write_text(json.dumps({**json.loads(file.read_text()), "format": 1}))
-    told = r"has format 1, this version reads 2: go on with the torchgrasp that wrote it, or .*init="
+    told = r"has format 1, this version reads 3: go on with the torchgrasp that wrote it, or .*init="
     with pytest.raises(CheckpointError, match=told):
         training_config(composed(f"resume={run_dir}"), "td3_bc")
