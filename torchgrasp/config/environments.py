@@ -11,7 +11,6 @@ from omegaconf import DictConfig, OmegaConf
 from torchrl.envs import Compose, TransformedEnv
 
 from torchgrasp import keys
-from torchgrasp.config.overrides import plain
 from torchgrasp.config.parts import at_place, build
 from torchgrasp.envs import GraspEnv
 from torchgrasp.errors import ConfigError, ObjectError
@@ -33,16 +32,11 @@ LEARNED_FROM = (
 
 def make_objects(cfg: DictConfig, split: str) -> ObjectSet:
     """The training objects as configured, or for "test" those of the evaluation, where there are splits."""
-    objects = _choose_objects(cfg, split)
-    return build(_into_members(objects) if "sets" in objects else objects)
-
-
-def _choose_objects(cfg: DictConfig, split: str) -> DictConfig:
     objects: Any = cfg.objects
     if split == "test" and objects.get("split") is not None:
         chosen = {name: cfg.evaluation[name] for name in ("split", "num_objects") if name in objects}
         objects = OmegaConf.merge(objects, chosen)
-    return objects
+    return build(_into_members(objects) if "sets" in objects else objects)
 
 
 def _into_members(objects: DictConfig) -> DictConfig:
@@ -63,28 +57,14 @@ def _into_members(objects: DictConfig) -> DictConfig:
 
 def make_split_env(cfg: DictConfig, split: str) -> TransformedEnv:
     """The environment of training or evaluation with the transforms of the configuration."""
-    options = {"seed": cfg.seed} if split != "test" else _evaluation_options(cfg)
+    options = {"seed": cfg.seed}
+    if split == "test":
+        options = {"seed": cfg.evaluation.seed, "num_envs": cfg.evaluation.num_envs}
+        if (motion := cfg.evaluation.get("target_motion")) is not None:
+            options["target_motion"] = motion
     cameras = {"camera": build(cfg.camera), "overhead": build(cfg.overhead)}
     env: GraspEnv = build(cfg.env, objects=make_objects(cfg, split), **cameras, **options, **_engine(cfg))
     return TransformedEnv(env, make_transforms(cfg.transforms))
-
-
-def _evaluation_options(cfg: DictConfig) -> dict[str, Any]:
-    """The options of the environment that the evaluation has of its own."""
-    options = {"seed": cfg.evaluation.seed, "num_envs": cfg.evaluation.num_envs}
-    motion = cfg.evaluation.get("target_motion")
-    return options if motion is None else {**options, "target_motion": motion}
-
-
-def scene_options(cfg: DictConfig) -> dict[str, Any]:
-    """What decides the scenes of the evaluation, as plain values: where it is equal, the scenes are."""
-    own = {name: plain(value) for name, value in _evaluation_options(cfg).items()}
-    return {
-        "episodes": cfg.evaluation.episodes,
-        "env": {**plain(cfg.env), **own},
-        "objects": plain(_choose_objects(cfg, "test")),
-        "engine": plain(cfg.get("engine")),
-    }
 
 
 @dataclass(frozen=True)

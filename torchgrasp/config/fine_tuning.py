@@ -44,10 +44,9 @@ def begun_with(cfg: DictConfig) -> DictConfig:
     if refused:
         raise ConfigError(f"init={path} brings {', '.join(_PARTS)} along: leave out {', '.join(refused)}.")
     plain: Any = OmegaConf.to_container(cfg)
-    own_critic = OmegaConf.to_container(cfg.model.critic, resolve=True)
+    critic = OmegaConf.to_container(cfg.model.critic, resolve=True)
     plain |= {name: brought[name] for name in _PARTS if name in brought}
-    if plain["model"].get("critic") is None:
-        plain["model"] = {**plain["model"], "critic": own_critic}
+    plain["model"] = {"critic": critic, **plain["model"]}  # imitation alone brings none
     for part, names in (("env", _TASK), ("replay", _STORAGE)):
         told = brought.get(part) or {}
         plain[part] |= {name: told[name] for name in names if name in told}

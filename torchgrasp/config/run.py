@@ -10,7 +10,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
 from torchgrasp.config.demonstration_sources import draws_own_alone
-from torchgrasp.config.environments import LEARNED_FROM, make_pool, prepare_objects, scene_options
+from torchgrasp.config.environments import LEARNED_FROM, make_pool, prepare_objects
 from torchgrasp.config.grasp_prediction import PREDICTED_FROM
 from torchgrasp.config.main_phase import count_rounds, describe_idle_workers
 from torchgrasp.config.overrides import plain
@@ -19,6 +19,7 @@ from torchgrasp.config.run_files import keep_configuration, open_run_dir
 from torchgrasp.config.run_state import LearnerT, RunState
 from torchgrasp.data.demonstration_sources import DemonstrationSource
 from torchgrasp.data.folder_lock import own_folder
+from torchgrasp.evaluation.run_results import read_scenes
 from torchgrasp.evaluation.success_rate import evaluate_policy
 from torchgrasp.interruption import UNTIMELY, Interrupted, check, hold, noted, release, watch_signals
 from torchgrasp.rollouts import Episode, EpisodePool, collect_rounds
@@ -234,7 +235,7 @@ class Run(RunState[LearnerT]):
         """Success of the policy as it is now, kept for the end under `name`; a resumed run has it already."""
         if name not in self.results:
             table = self.evaluate(self.learner.policy, name.removeprefix("policy "))
-            self.results[name] = {**table, _SCENES: scene_options(self.cfg)}
+            self.results[name] = {**table, _SCENES: read_scenes(plain(self.cfg))}
             self.checkpoint()
 
     def find_comparable(self) -> dict[str, dict]:
@@ -242,7 +243,7 @@ class Run(RunState[LearnerT]):
 
         A run may be resumed with another evaluation.
         """
-        scenes, tables = scene_options(self.cfg), {}
+        scenes, tables = read_scenes(plain(self.cfg)), {}
         for name, table in self.results.items():
             if table.get(_SCENES) == scenes:
                 tables[name] = {key: value for key, value in table.items() if key != _SCENES}
